@@ -1,0 +1,9 @@
+"""Sampling densities around a pixel's centre. One idea a file."""
+
+from __future__ import annotations
+
+from torch_mcaa.densities.base import Density
+from torch_mcaa.densities.filter_density import FilterDensity
+from torch_mcaa.densities.normal import Normal
+
+__all__ = ["Density", "FilterDensity", "Normal"]

@@ -1,0 +1,87 @@
+"""Points off the lattice, that see what the lattice cannot: a tone on its dual vectors is constant on all its points.
+
+One point for each strip and column, at a random place in the lattice's unit cell around a sample. Where f is resolved, it differs from
+that sample no more than two neighbouring samples differ from each other. Where more than a third of a neighbourhood's points differ by
+more than nine in ten neighbouring samples do, the lattice is blind there, and half their mean squared difference is the variance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.estimators.lattice_weights import Geometry
+from torch_mcaa.grid import Cell
+from torch_mcaa.patterns.lattice import Strip
+
+_AUDIT = 0xA0D17
+_POINTS = 24
+
+
+class Audit:
+    """The audit of one strip lattice; `planes` are the planes of samples it needs."""
+
+    def __init__(self, task: Task, strip: Strip, number: int) -> None:
+        self.task, self.strip, self.number = task, strip, number
+        # in the strip's last pixel, so that a strip which the screen cuts off does not hold more than its share of points
+        self.reference = int(np.argmax(strip.y))
+        self.pairs = [pair for step in strip.basis for pair in self._pair(step)]
+        self.planes = sorted({self.reference, *(plane for pair in self.pairs for plane in pair)})
+
+    def _pair(self, step: np.ndarray) -> list[tuple[int, int]]:
+        """Two planes whose samples differ by `step` inside the strip, if any do."""
+        strip = self.strip
+        x, y = strip.x + step[0], strip.y + step[1]
+        for plane in range(strip.count):
+            if 0 <= x[plane] < 1 and 0 <= y[plane] < strip.period:
+                other = int(np.argmin((strip.x - x[plane]) ** 2 + (strip.y - y[plane]) ** 2))
+                return [(plane, other)]
+        return []
+
+    def row(self) -> int:
+        """The pixel of the strip in which all its audit points lie."""
+        return int(self.strip.y[self.reference])
+
+    def places(self, at: Geometry) -> tuple[Tensor, Tensor]:
+        """float64 screen columns and rows (strips, cols) of the audit points, each in the pixel of its sample."""
+        strips = torch.arange(at.strip, at.strip + at.strips)[:, None]
+        cols = torch.arange(at.col, at.col + at.cols)[None, :]
+        a, b = (
+            rng.uniform(self.task.seed, _AUDIT, self.number, strips, cols, axis, dtype=torch.float64) - 0.5 for axis in (0, 1)
+        )
+        basis, row = self.strip.basis, self.row()
+        x = (self.strip.x[self.reference] + a * basis[0, 0] + b * basis[1, 0]).clamp(0, 1 - 2.0**-20)
+        y = (self.strip.y[self.reference] + a * basis[0, 1] + b * basis[1, 1]).clamp(row, row + 1 - 2.0**-20)
+        return cols + x, strips * self.strip.period + y
+
+    def variance(self, cell: Cell, at: Geometry, audited: Tensor, held: dict[int, Tensor]) -> Tensor:
+        """(h, w): the variance that the audit adds, 0 where the lattice resolves f. `audited` and the held planes are (strips, cols)."""
+        seen = (audited - held[self.reference]).square()
+        if self.pairs:
+            between = torch.stack([(held[a] - held[b]).square() for a, b in self.pairs])
+        else:
+            between = (held[self.reference][:, 1:] - held[self.reference][:, :-1]).square()[None]
+        tall = max(1, min(round(5 / self.strip.period), at.strips))
+        wide = min(-(-_POINTS // tall), between.shape[2])
+        level = _tiles(between, tall, wide, torch.inf).flatten(2).movedim(0, 1).flatten(1)
+        finite = level.isfinite().sum(1, keepdim=True)
+        usual = level.sort(1).values.gather(1, ((finite - 1) * 9 // 10).clamp_min(0))
+        tiles = _tiles(seen[None], tall, wide, torch.nan)[0].flatten(1)
+        real = ~tiles.isnan()
+        blind = ((tiles > usual) & real).sum(1) * 3 > real.sum(1)
+        power = torch.where(blind & (real.sum(1) * 4 > tall * wide), torch.nanmean(tiles, 1) / 2, 0.0)
+        down = -(-at.strips // tall)
+        plane = torch.nan_to_num(power).reshape(down, -1).repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)
+        top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
+        return plane[top : top + cell.height, left : left + cell.width]
+
+
+def _tiles(planes: Tensor, tall: int, wide: int, fill: float) -> Tensor:
+    """(P, tiles, tall, wide) of (P, h, w), padded with `fill`."""
+    count, height, width = planes.shape
+    padded = torch.nn.functional.pad(planes, (0, -width % wide, 0, -height % tall), value=fill)
+    down, across = padded.shape[1] // tall, padded.shape[2] // wide
+    return padded.reshape(count, down, tall, across, wide).transpose(2, 3).reshape(count, down * across, tall, wide)

@@ -1,0 +1,110 @@
+"""What an estimator is: a round of so many evaluations a pixel turns a cell of the screen into values and variances."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.filters import Filter
+from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.integrand import Integrand
+
+Boundary = Literal["extend", "zero", "renormalize"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """All that a picture depends on, but for the number of evaluations."""
+
+    screen: Screen
+    integrand: Integrand
+    filter: Filter
+    boundary: Boundary
+    seed: int
+    dtype: torch.dtype
+    device: torch.device
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One round's result in one cell.
+
+    Attributes:
+        value: (C, h, w) estimate of (1), in the task's dtype.
+        variance: (C, h, w) estimated variance of `value`; never 0.
+        points: (h, w) int32, the evaluations of f that lie in each pixel.
+        invalid: (h, w) int32, how many of them were not finite.
+    """
+
+    value: Tensor
+    variance: Tensor
+    points: Tensor
+    invalid: Tensor
+
+
+class Round(ABC):
+    """One round of an estimator: a pure function of (task, spp, number) and the cell."""
+
+    per_pixel: float
+    """Evaluations a pixel, but for what a border cuts."""
+
+    @abstractmethod
+    def points(self, cell: Cell) -> int:
+        """How many evaluations will lie in the pixels of `cell`."""
+
+    @abstractmethod
+    def estimate(self, cell: Cell) -> Estimate:
+        """Evaluate f in and around `cell` and estimate its pixels."""
+
+
+class Estimator(ABC):
+    """A way to estimate (1) for every pixel, with its variance. Estimators are stateless values."""
+
+    @abstractmethod
+    def check(self, task: Task) -> None:
+        """Refuse what this estimator cannot do, with the reason.
+
+        Raises:
+            McaaError: for instance a filter whose modulus is not integrable, or a boundary that it would need.
+        """
+
+    @abstractmethod
+    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+        """(height, width) of the canonical cells; smaller where the number of evaluations may differ between cells."""
+
+    @abstractmethod
+    def round(self, task: Task, spp: int, number: int) -> Round:
+        """Round `number` (0, 1, ...) with at most `spp` >= 1 evaluations a pixel; rounds are independent of one another."""
+
+
+def add_floor(variance: Tensor, value: Tensor, spp: float) -> Tensor:
+    """The variance with a floor for what no sample met, so that it is never 0 by ignorance.
+
+    The floor is the square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a
+    hundredth of a sample's area. A constant cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n.
+    """
+    low, high = value.amin((-2, -1), keepdim=True), value.amax((-2, -1), keepdim=True)
+    span = torch.nan_to_num(high - low, nan=0.0, posinf=0.0)
+    magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
+    rounding = 64 * torch.finfo(value.dtype).eps
+    scale = torch.where(span > rounding * magnitude, span, torch.where(magnitude > 0, magnitude, torch.ones_like(magnitude)))
+    return variance + (0.01 * scale / spp) ** 2
+
+
+def box3(plane: Tensor) -> Tensor:
+    """The mean over each pixel's 3 x 3 neighbours inside the cell, of a (C, h, w) tensor."""
+    for dim in (-2, -1):
+        size = plane.shape[dim]
+        total = plane.clone()
+        if size > 1:
+            total.narrow(dim, 1, size - 1).add_(plane.narrow(dim, 0, size - 1))
+            total.narrow(dim, 0, size - 1).add_(plane.narrow(dim, 1, size - 1))
+            total.mul_(1 / 3)
+            for end in (0, size - 1):
+                total.narrow(dim, end, 1).mul_(3 / 2)
+        plane = total
+    return plane

@@ -1,0 +1,71 @@
+"""`Shared`: one evaluation of f serves every pixel whose filter covers it. `Auto`: what to use when one does not want to choose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from torch_mcaa.errors import McaaError
+from torch_mcaa.estimators.base import Estimator, Round, Task
+from torch_mcaa.estimators.shared_lattice import LatticeRound, ReplicatedRound
+from torch_mcaa.estimators.shared_points import SharedPointsRound
+from torch_mcaa.patterns import Lattice, Pattern
+
+
+@dataclass(frozen=True)
+class Shared(Estimator):
+    """Points spread over the whole screen, each weighed with w for every pixel it serves.
+
+    With a `Lattice` the weights are the same for all pixels and the estimate is a convolution. Its standard error comes from the sums over
+    the cosets of the lattice's double, pooled over 3 x 3 pixels, and from one point in each strip off the lattice, which sees a tone on
+    the dual vectors. Other patterns report their own standard error for the points of each source pixel.
+
+    Attributes:
+        pattern: where the points of a pixel lie.
+        replicates: with R >= 2 and a `Lattice`, R lattices of spp / R points with different generators and independent shifts, and the
+            standard error between them: independent of any model of f, for a larger error.
+    """
+
+    pattern: Pattern = field(default_factory=Lattice)
+    replicates: int = 1
+
+    def __post_init__(self) -> None:
+        if isinstance(self.replicates, bool) or not isinstance(self.replicates, int) or self.replicates < 1:
+            raise McaaError(f"replicates must be an integer of at least 1, got {self.replicates!r}")
+        if self.replicates > 1 and not isinstance(self.pattern, Lattice):
+            raise McaaError(f"replicates are for a Lattice, whose points depend on one another; {self.pattern} with replicates={self.replicates} is not needed")
+
+    def check(self, task: Task) -> None:
+        if math.isinf(max(task.filter.radius)):
+            if not isinstance(self.pattern, Lattice):
+                raise McaaError(f"{task.filter} reaches over the whole screen, which only Shared(Lattice()) can afford; got {self.pattern}")
+
+    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+        if math.isinf(max(task.filter.radius)):
+            return task.screen.height, task.screen.width
+        if not isinstance(self.pattern, Lattice):
+            return (32, 32) if adaptive else (64, 64)
+        return (64, 64) if adaptive else (256, 256)
+
+    def round(self, task: Task, spp: int, number: int) -> Round:
+        if not isinstance(self.pattern, Lattice):
+            return SharedPointsRound(task, self.pattern, self.pattern.count(spp), number)
+        if self.replicates == 1:
+            return LatticeRound(task, spp, number)
+        if spp < self.replicates:
+            raise McaaError(f"{self.replicates} replicates need at least {self.replicates} evaluations a pixel, got spp = {spp}")
+        return ReplicatedRound(task, spp, number, self.replicates)
+
+
+@dataclass(frozen=True)
+class Auto(Estimator):
+    """The default: at present `Shared(Lattice())`, which measures best of the estimators there are."""
+
+    def check(self, task: Task) -> None:
+        Shared().check(task)
+
+    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+        return Shared().cell(task, adaptive)
+
+    def round(self, task: Task, spp: int, number: int) -> Round:
+        return Shared().round(task, spp, number)

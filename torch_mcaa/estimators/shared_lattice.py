@@ -1,0 +1,170 @@
+"""A round of the shared lattice: one evaluation of f serves every pixel whose filter covers it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.estimators.audit import Audit
+from torch_mcaa.estimators.base import Estimate, Round, Task, add_floor, box3
+from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
+from torch_mcaa.estimators.splat import Splat
+from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import BLOCK
+from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
+
+_SHIFT = 0x5F1F7
+
+
+class LatticeRound(Round):
+    """One lattice rule over the screen. With `contrast` it brings its variance: character sums, audit and floor; without, values only."""
+
+    def __init__(self, task: Task, spp: int, number: int, replicate: int = 0, contrast: bool = True) -> None:
+        shift = tuple(float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
+        self.task = task
+        self.strip = Lattice().strip(spp, replicate, contrast, shift)
+        self.audit = Audit(task, self.strip, number) if contrast else None
+        counts = self.strip.row_counts()
+        if self.audit is not None:
+            counts[self.audit.row()] += 1
+        self.counts = torch.from_numpy(counts).to(torch.int32)
+        self.per_pixel = float(counts.sum()) / self.strip.period
+        self.weights = LatticeWeights(task, self.strip)
+        self._splats: dict[tuple[Cell, Geometry] | tuple[int, ...], Splat] = {}
+
+    def points(self, cell: Cell) -> int:
+        return int(self._row_points(cell).sum()) * cell.width
+
+    def _row_points(self, cell: Cell) -> Tensor:
+        return self.counts[torch.arange(cell.row, cell.row + cell.height) % self.strip.period]
+
+    def estimate(self, cell: Cell) -> Estimate:
+        task = self.task
+        at = self.weights.geometry(cell)
+        splat = self._splat(cell, at)
+        value, power, extra, invalid = self._sums(cell, at, splat, masked=False)
+        if invalid is not None:
+            value, power, extra, invalid = self._sums(cell, at, splat, masked=True)
+            # what is left of the weights where samples were not finite, a last channel of its own
+            value, kept = value[:-1], value[-1:]
+            power, extra = (None if t is None else t[:-1] for t in (power, extra))
+            if task.integrand.nonfinite == "propagate":
+                value = torch.where(kept > 1 - 1e-5, value, torch.nan)
+            else:
+                value = torch.where(kept > 1e-3, value / kept, torch.nan)
+        variance = torch.zeros_like(value)
+        if power is not None and extra is not None:
+            spread = power.repeat_interleave(2, 1).repeat_interleave(2, 2)[:, : cell.height, : cell.width]
+            variance = box3(spread) / CHARACTER_RATIO + extra
+        if splat.norm is not None:
+            value, variance = value / splat.norm, variance / splat.norm.square()
+        if power is not None:
+            variance = add_floor(variance, value, self.per_pixel)
+        points = self._row_points(cell).to(task.device)[:, None].expand(cell.height, cell.width)
+        if invalid is None:
+            invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
+        return Estimate(value, variance, points, invalid)
+
+    def _splat(self, cell: Cell, at: Geometry) -> Splat:
+        """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
+        if self.task.boundary == "extend":
+            key: tuple[int, ...] = (cell.height, cell.width, cell.row % self.strip.period)
+            moved = key in self._splats
+        else:
+            key, moved = (cell.height, cell.width, cell.row, cell.col), False
+        if key not in self._splats:
+            self._splats.clear() if len(self._splats) > 8 else None
+            group = max(1, BLOCK // at.points)
+            self._splats[key] = Splat(self.weights, cell, at, group, self.audit is not None)
+        splat = self._splats[key]
+        if moved:
+            splat.cell, splat.at = cell, at
+        return splat
+
+    def _sums(
+        self, cell: Cell, at: Geometry, splat: Splat, masked: bool
+    ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None]:
+        """Values (C, h, w), squared character sums (C, h / 2, w / 2), the audit's variance (C, h, w), and counts of samples not finite.
+
+        Without `masked` the first sample that is not finite ends the work, and the counts are a tensor without content. With it such
+        samples are 0 and a last channel holds the weight of the others.
+        """
+        task, strip = self.task, self.strip
+        asked = task.screen.coordinate_dtype(cell, task.dtype)
+        cols = torch.arange(at.col, at.col + at.cols, dtype=torch.float64)
+        rows = torch.arange(at.strip, at.strip + at.strips, dtype=torch.float64) * strip.period
+        sums: list[tuple[Tensor, Tensor | None]] = []
+        held: list[dict[int, Tensor]] = []
+        counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masked else None
+
+        def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
+            x = task.screen.x_of(col).to(task.device, asked).expand(shape).contiguous()
+            y = task.screen.y_of(self._on_screen(row)).to(task.device, asked).expand(shape).contiguous()
+            values = task.integrand(x, y)
+            bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
+            if masked:
+                kept = torch.ones(shape, dtype=task.dtype, device=task.device)
+                if bad is not None:
+                    values, kept = [value.masked_fill(bad, 0) for value in values], kept.masked_fill(bad, 0)
+                values = [*values, kept]
+            return values, bad
+
+        for group in splat.groups:
+            x, y = torch.from_numpy(strip.x[group.planes]), torch.from_numpy(strip.y[group.planes])
+            shape = (at.strips, len(x), at.cols)
+            values, bad = evaluate(cols[None, :] + x[:, None], (rows[:, None] + y)[:, :, None], shape)
+            if bad is not None and counts is None:
+                return values[0], None, None, torch.empty(0)
+            if bad is not None and counts is not None:
+                places = (torch.arange(at.strips)[:, None] * strip.period + y.long()).flatten().to(task.device)
+                counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
+            for channel, value in enumerate(values):
+                if len(sums) <= channel:
+                    sums.append(splat.start())
+                    held.append({})
+                splat.add(sums[channel], group, value)
+                if self.audit is not None:
+                    for plane in self.audit.planes:
+                        if group.planes.start <= plane < group.planes.stop:
+                            held[channel][plane] = value[:, plane - group.planes.start].clone()
+        extra = None
+        if self.audit is not None:
+            values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))
+            if bad is not None and counts is None:
+                return values[0], None, None, torch.empty(0)
+            if bad is not None and counts is not None:
+                counts[self.audit.row() :: strip.period] += bad.to(torch.int32)
+            extra = torch.stack([self.audit.variance(cell, at, v, h) for v, h in zip(values, held, strict=True)])
+        finished = [splat.finish(s) for s in sums]
+        powers = [power for _, power in finished if power is not None]
+        if counts is not None:
+            top, left = cell.row - at.strip * strip.period, cell.col - at.col
+            counts = counts[top : top + cell.height, left : left + cell.width]
+        return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, extra, counts
+
+    def _on_screen(self, row: Tensor) -> Tensor:
+        """Rows of strips that reach over a screen outside which f is not asked; their weights are 0."""
+        if self.task.boundary == "extend":
+            return row
+        return row.clamp(0, self.task.screen.height * (1 - 2.0**-50))
+
+
+class ReplicatedRound(Round):
+    """R >= 2 independent lattices with other generators; the variance is that between them, pooled over 3 x 3 pixels."""
+
+    def __init__(self, task: Task, spp: int, number: int, replicates: int) -> None:
+        self.rounds = [LatticeRound(task, spp // replicates, number, r, contrast=False) for r in range(replicates)]
+        self.per_pixel = sum(r.per_pixel for r in self.rounds)
+
+    def points(self, cell: Cell) -> int:
+        return sum(r.points(cell) for r in self.rounds)
+
+    def estimate(self, cell: Cell) -> Estimate:
+        estimates = [r.estimate(cell) for r in self.rounds]
+        values = torch.stack([e.value for e in estimates])
+        spread = values.var(0) / len(values)
+        value = values.mean(0)
+        points = torch.stack([e.points for e in estimates]).sum(0, dtype=torch.int32)
+        invalid = torch.stack([e.invalid for e in estimates]).sum(0, dtype=torch.int32)
+        return Estimate(value, add_floor(box3(spread), value, self.per_pixel), points, invalid)

@@ -1,0 +1,109 @@
+"""The screen: pixels, centres, cells, and the coordinates that f is given ((21)-(24) of Halton's paper).
+
+A place on the screen is an integer pixel and an offset in [0, 1), kept apart until the last moment, so that a pixel far from the origin is
+sampled as finely as the first one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.errors import McaaError
+
+_FINEST_STEP = 2.0**-10
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A rectangle of pixels, the unit of work: rows [row, row + height), columns [col, col + width)."""
+
+    row: int
+    col: int
+    height: int
+    width: int
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """The slices that cut this cell out of a picture."""
+        return slice(self.row, self.row + self.height), slice(self.col, self.col + self.width)
+
+
+@dataclass(frozen=True)
+class Screen:
+    """S of (21): `height` x `width` pixels over `extent` = (x0, x1, y0, y1) in f's coordinates (the default: pixels, y down)."""
+
+    height: int
+    width: int
+    extent: tuple[float, float, float, float]
+
+    @classmethod
+    def of(cls, size: object, extent: object = None) -> Screen:
+        """Check what a user typed as `size` (height, width) and `extent`.
+
+        Raises:
+            McaaError: sizes that are not positive integers; an extent that is not four finite numbers with x0 != x1, y0 != y1.
+        """
+        if not (isinstance(size, (tuple, list, torch.Size)) and len(size) == 2 and all(_is_integer(s) for s in size)):
+            raise McaaError(f"size must be two integers (height, width), got {size!r}; write for instance size=(512, 512)")
+        height, width = (int(s) for s in size)
+        if height < 1 or width < 1:
+            raise McaaError(f"size must be at least one pixel each way, got {height} x {width}; ask for a positive height and width")
+        if extent is None:
+            return cls(height, width, (0.0, float(width), 0.0, float(height)))
+        try:
+            x0, x1, y0, y1 = (float(e) for e in extent)  # pyright: ignore[reportGeneralTypeIssues]
+        except (TypeError, ValueError) as error:
+            raise McaaError(f"extent must be four numbers (x0, x1, y0, y1), got {extent!r}") from error
+        if not all(map(math.isfinite, (x0, x1, y0, y1))) or x0 == x1 or y0 == y1:
+            raise McaaError(f"extent must be finite with x0 != x1 and y0 != y1, got {(x0, x1, y0, y1)}")
+        return cls(height, width, (x0, x1, y0, y1))
+
+    @property
+    def pixel_size(self) -> tuple[float, float]:
+        """(L1 / N1, L2 / N2): the width and height of a pixel in f's coordinates, negative where the extent runs backwards."""
+        x0, x1, y0, y1 = self.extent
+        return (x1 - x0) / self.width, (y1 - y0) / self.height
+
+    def x_of(self, col: Tensor) -> Tensor:
+        """f's x of float64 screen columns (pixels)."""
+        return self.extent[0] + self.pixel_size[0] * col
+
+    def y_of(self, row: Tensor) -> Tensor:
+        """f's y of float64 screen rows (pixels)."""
+        return self.extent[2] + self.pixel_size[1] * row
+
+    def centres(self, cell: Cell | None = None) -> tuple[Tensor, Tensor]:
+        """(23): float64 coordinates (width,) and (height,) of the centres of a cell's pixels, of all pixels by default."""
+        cell = cell or Cell(0, 0, self.height, self.width)
+        cols = torch.arange(cell.col, cell.col + cell.width, dtype=torch.float64) + 0.5
+        rows = torch.arange(cell.row, cell.row + cell.height, dtype=torch.float64) + 0.5
+        return self.x_of(cols), self.y_of(rows)
+
+    def coordinate_dtype(self, cell: Cell, dtype: torch.dtype) -> torch.dtype:
+        """The dtype in which f is asked: `dtype`, or float64 where that would step by more than 2^-10 px inside the cell.
+
+        A margin of one cell is included, so that the filter's reach does not change the answer at a border.
+        """
+        corner_x = self.x_of(torch.tensor([cell.col - cell.width, cell.col + 2.0 * cell.width], dtype=torch.float64))
+        corner_y = self.y_of(torch.tensor([cell.row - cell.height, cell.row + 2.0 * cell.height], dtype=torch.float64))
+        for corner, pixel in ((corner_x, self.pixel_size[0]), (corner_y, self.pixel_size[1])):
+            # the gap between floats is at most eps times the magnitude
+            gap = 2.0 ** math.floor(math.log2(max(float(corner.abs().max()), 1e-300))) * torch.finfo(dtype).eps
+            if gap > _FINEST_STEP * abs(pixel):
+                return torch.float64
+        return dtype
+
+    def cells(self, height: int, width: int) -> Iterator[Cell]:
+        """The canonical cells, row by row: they lie on a fixed grid of the screen and are cut off where it ends."""
+        for row in range(0, self.height, height):
+            for col in range(0, self.width, width):
+                yield Cell(row, col, min(height, self.height - row), min(width, self.width - col))
+
+
+def _is_integer(value: object) -> bool:
+    return not isinstance(value, bool) and hasattr(value, "__index__")

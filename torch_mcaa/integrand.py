@@ -1,0 +1,121 @@
+"""The contract of f: what it is given, what it may return, and what is said when it does something else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.errors import McaaError
+
+Function = Callable[[Tensor, Tensor], Any]
+Nonfinite = Literal["raise", "ignore", "propagate"]
+
+# One call of f sees at most this many points: they stay in the cache, and PyTorch's grain of 2^15 elements cuts them at the same places
+# for every number of threads, so that the vectorised functions give the same last bits.
+BLOCK = 2**16
+
+
+@dataclass
+class Integrand:
+    """f with its contract checked: `integrand(x, y)` returns C tensors of x's shape in `dtype`.
+
+    Attributes:
+        function: f(x, y) -> a tensor of x's shape, a tuple or list of C of them, or a (C, *shape) tensor; bool and integers count as numbers.
+        dtype: the picture's dtype.
+        nonfinite: what to do about NaN and infinities; anything but "raise" leaves them to the caller, who calls `invalid`.
+        evaluations: the points f was called on so far.
+    """
+
+    function: Function
+    dtype: torch.dtype = torch.float32
+    nonfinite: Nonfinite = "raise"
+    evaluations: int = field(default=0, init=False)
+    channels: int = field(default=0, init=False)
+
+    def __call__(self, x: Tensor, y: Tensor) -> list[Tensor]:
+        """Evaluate f on two tensors of one shape.
+
+        Raises:
+            McaaError: f raised (chained, with the block's place); it returned another shape, dtype, device or number of channels than
+                it may; it returned NaN or an infinity under nonfinite="raise" (the first place is named).
+        """
+        self.evaluations += x.numel()
+        try:
+            returned = self.function(x, y)
+        except Exception as error:
+            place = f"x in [{float(x.min()):g}, {float(x.max()):g}], y in [{float(y.min()):g}, {float(y.max()):g}]"
+            raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {tuple(x.shape)} points with {place}") from error
+        values = [_checked(value, x, self.dtype) for value in _as_channels(returned, x)]
+        if self.channels not in (0, len(values)):
+            raise McaaError(f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call")
+        self.channels = len(values)
+        if self.nonfinite == "raise":
+            for channel, value in enumerate(values):
+                # the sum is a cheap test that may cry wolf, on overflow
+                if not bool(torch.isfinite(value.sum())) and not bool(torch.isfinite(value).all()):
+                    first = int((~torch.isfinite(value)).reshape(-1).nonzero()[0])
+                    raise McaaError(
+                        f"f returned {float(value.reshape(-1)[first])} at x = {float(x.reshape(-1)[first]):.9g}, "
+                        f"y = {float(y.reshape(-1)[first]):.9g} (channel {channel}); mend f, or pass nonfinite='ignore' or 'propagate'"
+                    )
+        return values
+
+    @staticmethod
+    def invalid(values: Sequence[Tensor]) -> Tensor | None:
+        """Where any channel is not finite, a bool tensor; None where all is well."""
+        if all(bool(torch.isfinite(value.sum())) for value in values):
+            return None
+        mask = ~torch.isfinite(torch.stack(list(values))).all(0)
+        return mask if bool(mask.any()) else None
+
+
+def from_points(network: Callable[[Tensor], Tensor]) -> Function:
+    """Adapt a function on points, (N, 2) -> (N, C) or (N,), to f(x, y).
+
+    Raises:
+        McaaError: when called, if `network` returns anything but (N, C) or (N,).
+    """
+
+    def f(x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+        out = network(torch.stack([x.reshape(-1), y.reshape(-1)], -1))
+        if not isinstance(out, Tensor) or out.ndim not in (1, 2) or out.shape[0] != x.numel():
+            raise McaaError(f"a function on points must return (N, C) or (N,) with N = {x.numel()}, got {_describe(out)}")
+        return tuple(channel.reshape(x.shape) for channel in out.reshape(x.numel(), -1).unbind(-1))
+
+    return f
+
+
+def _as_channels(returned: object, x: Tensor) -> Sequence[object]:
+    if isinstance(returned, Tensor):
+        if returned.shape == x.shape:
+            return [returned]
+        if returned.ndim == x.ndim + 1 and returned.shape[1:] == x.shape and returned.shape[0] > 0:
+            return returned.unbind(0)
+    elif isinstance(returned, (tuple, list)) and returned:
+        return returned
+    raise McaaError(
+        f"f must return a tensor of its input's shape {tuple(x.shape)}, a tuple of C such tensors, or one of shape (C, {', '.join(map(str, x.shape))}); "
+        f"got {_describe(returned)}; for a constant return torch.full_like(x, value)"
+    )
+
+
+def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
+    if not isinstance(value, Tensor) or value.shape != x.shape:
+        raise McaaError(f"each channel that f returns must be a tensor of shape {tuple(x.shape)}, got {_describe(value)}")
+    if value.device != x.device:
+        raise McaaError(f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}")
+    if value.is_complex():
+        raise McaaError(f"f returned {value.dtype}; a colour is real: return the real part, the modulus, or both as channels")
+    return value.to(dtype)
+
+
+def _describe(value: object) -> str:
+    if isinstance(value, Tensor):
+        return f"a tensor of shape {tuple(value.shape)}"
+    if isinstance(value, (tuple, list)):
+        return f"a {type(value).__name__} of {len(value)}"
+    return f"{type(value).__name__} {value!r}"[:120]

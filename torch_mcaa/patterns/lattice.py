@@ -1,0 +1,113 @@
+"""Rank-1 lattices under a random shift: one unit square for a pixel by itself, strips of pixels for sharing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.patterns.base import Pattern
+from torch_mcaa.patterns.lattice_search import best_generator, reduced_basis
+from torch_mcaa.patterns.lattice_table import STRIPS
+
+# mean square of the three character sums over the variance of the mean, on edges of every direction: 3 for an edge across a dual vector
+# (sum over j >= 0 of (j + 1/2)^-2 against j^-2), 7 on average over directions (n^-1.5 at a quarter of the points), 3 for white noise
+CHARACTER_RATIO = 4.5
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A lattice of `count` (odd) points in a strip 1 px wide and `period` px high that repeats over the screen.
+
+    Attributes:
+        x, y: float64 (count,) offsets in [0, 1) and [0, period) after the shift.
+        basis: (2, 2) float64, the two shortest vectors between points, in pixels.
+        characters: (3, count) of +-1: the non-trivial characters of the lattice modulo its double.
+        parities: for each character, its sign's change (0 or 1) over one column and over one strip.
+    """
+
+    period: int
+    x: np.ndarray
+    y: np.ndarray
+    basis: np.ndarray
+    characters: np.ndarray
+    parities: tuple[tuple[int, int], ...] = ((0, 1), (1, 0), (1, 1))
+
+    @property
+    def count(self) -> int:
+        return len(self.x)
+
+    def row_counts(self) -> np.ndarray:
+        """(period,) points in each pixel of the strip."""
+        return np.bincount(np.floor(self.y).astype(int).clip(0, self.period - 1), minlength=self.period)
+
+
+@dataclass(frozen=True)
+class Lattice(Pattern):
+    """A rank-1 lattice with a uniform random shift (Cranley and Patterson, 1976; Sloan and Joe, 1994).
+
+    Shared over the pixels it converges exponentially for f whose frequencies stay inside half its shortest dual vector, and as n^-0.75 on
+    edges. Its weakness is a tone on a dual vector: constant on all its points. `Shared` watches for that with points off the lattice.
+    """
+
+    def count(self, n: int) -> int:
+        return n - 1 + n % 2
+
+    def points(
+        self, n: int, rows: Tensor, cols: Tensor, *, seed: int, round: int, dtype: torch.dtype = torch.float32
+    ) -> tuple[Tensor, Tensor]:
+        generator = best_generator(n, 1)[1]
+        index = torch.arange(n, dtype=torch.float64, device=rows.device)[:, None, None]
+        shift = [rng.uniform(seed, rows[:, None], cols[None, :], round, axis, dtype=torch.float64) for axis in (0, 1)]
+        u, v = index / n + shift[0], torch.remainder(index * generator, n) / n + shift[1]
+        below_one = 1 - torch.finfo(dtype).eps / 2
+        return torch.frac(u).to(dtype).clamp_(max=below_one), torch.frac(v).to(dtype).clamp_(max=below_one)
+
+    def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
+        """Half the mean squared differences of the terms in the order of u and of v: conservative where f is smooth.
+
+        The character sums that `Shared` uses need a function that is periodic, which f drawn through one pixel's filter is not.
+        """
+        n = terms.shape[0]
+        if n < 2:
+            return torch.full_like(terms[0], torch.inf)
+        spread = []
+        for coordinate in (u, v):
+            order = coordinate.argsort(0).expand_as(terms)
+            steps = terms.gather(0, order).diff(dim=0)
+            spread.append((steps * steps).mean(0) * (n / 2))
+        return torch.minimum(*spread)
+
+    def strip(self, spp: int, replicate: int, audited: bool, shift: tuple[float, float]) -> Strip:
+        """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
+
+        With `audited` at least one evaluation of each strip is left over for a point off the lattice.
+        """
+        period, count, generator = STRIPS[max(s for s in STRIPS if s <= spp)]
+        if replicate or not audited or spp > max(STRIPS):
+            period = 1 if spp > max(STRIPS) else period
+            count = spp * period - (1 if audited else 0)
+            count = max(count - 1 + count % 2 - 2 * (replicate // 2), 1)
+            generator = best_generator(count, period)[1]
+        if replicate % 2:
+            generator = -generator % count
+        index = np.arange(count)
+        x, y = (generator * index % count) / count, period * index / count
+        # k with g k_x + period k_y = 0 mod count, odd in the wanted places: k . p is an integer, its parity the character
+        signs = []
+        for a, b in Strip.parities:
+            second = count * b if not a else (-generator % count)
+            if a and second % 2 != b:
+                second += count
+            signs.append(1 - 2 * ((a * (generator * index % count) + second * index) // count % 2))
+        dual = np.stack(reduced_basis(np.array([1.0, -generator / period]), np.array([0.0, count / period])))
+        return Strip(
+            period,
+            (x + shift[0]) % 1.0,
+            (y + shift[1] * period) % period,
+            np.linalg.inv(dual).T,
+            np.array(signs),
+        )
