@@ -1,4 +1,4 @@
-"""A picture as an integrand: texels interpolated at points, wrapped at the border, seen through a scale or a homography."""
+"""A picture as an integrand: texels interpolated, wrapped at the border, scaled or seen in perspective."""
 
 from __future__ import annotations
 
@@ -17,29 +17,30 @@ from torch_mcaa.grid import Screen
 Interpolation = Literal["nearest", "bilinear", "bicubic"]
 Wrap = Literal["zeros", "border", "repeat", "mirror"]
 
-_FULL_SCALE = {torch.uint8: 255.0, torch.uint16: 65535.0, torch.bool: 1.0, torch.float16: 1.0, torch.bfloat16: 1.0}
-# Texels read along one axis, counted from the last whose centre (nearest: whose edge) is not beyond the point.
+_FULL_SCALE = {torch.uint8: 255, torch.uint16: 65535, torch.bool: 1, torch.float16: 1, torch.bfloat16: 1}
+# Texels read along one axis, counted from the last whose centre (nearest: left edge) is not beyond the point.
 _TAPS: dict[str, tuple[int, ...]] = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
 
 
 class Texture:
     """The integrand f(x, y) = the texture's colour at (x, y), one tensor a channel.
 
-    Texture coordinates (u, v) count texels: texel (row i, column j) covers [j, j+1] x [i, i+1], v down, its centre
-    at (j + 1/2, i + 1/2). Without a transform the texture covers the screen once, x in [0, W_screen] to u in [0, W]:
-    `on(size)` says which screen, and `render` calls it. While bound to no screen, x and y are u and v.
+    Texture coordinates (u, v) count texels: texel (row i, column j) covers [j, j+1] x [i, i+1], v down, its
+    centre at (j + 1/2, i + 1/2). Without a transform the texture covers the screen once, x in [0, W_screen]
+    to u in [0, W]: `on(size)` says which screen, and `render` calls it. While bound to no screen, x and y are
+    u and v.
 
-    "nearest" gives the texel that contains the point, "bilinear" interpolates between texel centres, "bicubic" is the
-    cubic convolution of R. G. Keys (1981), "Cubic Convolution Interpolation for Digital Image Processing", with
-    a = -1/2 (Catmull-Rom): it passes through the texels' values at their centres, and overshoots at edges. Where all
-    texels are equal their value comes out exactly.
+    "nearest" gives the texel that contains the point, "bilinear" interpolates between texel centres,
+    "bicubic" is the cubic convolution of R. G. Keys (1981), "Cubic Convolution Interpolation for Digital
+    Image Processing", with a = -1/2 (Catmull-Rom): it passes through the texels' values at their centres, and
+    overshoots at edges. Where all texels are equal their value comes out exactly.
 
-    Beyond the border "zeros" has texels of 0, "border" the last texel, "repeat" the texture again, "mirror" the
-    texture reflected at its outer edge, so that the last texel comes twice.
+    Beyond the border "zeros" has texels of 0, "border" the last texel, "repeat" the texture again, "mirror"
+    the texture reflected at its outer edge, so that the last texel comes twice.
 
     Attributes:
-        image: (C, H, W), float32 or float64: what values are gathered from, and their dtype. Gradients reach it.
-        transform: (3, 3) or None. Gradients reach it too, but for "nearest", which is flat in between its jumps.
+        image: (C, H, W), float32 or float64: the texels, and the values' dtype; gradients reach it.
+        transform: (3, 3) or None; gradients reach it too, but for "nearest", flat between its jumps.
         size: (height, width) of the screen that the texture covers, or None.
     """
 
@@ -61,26 +62,27 @@ class Texture:
         """Wrap a picture.
 
         Args:
-            image: (C, H, W) or (H, W). float32 and float64 tensors are kept, not copied; uint8 and uint16 are scaled
-                to [0, 1], bool becomes 0 and 1, float16 and bfloat16 become float32.
+            image: (C, H, W) or (H, W). float32 and float64 tensors are kept, not copied; uint8 and uint16 are
+                scaled to [0, 1], bool becomes 0 and 1, float16 and bfloat16 become float32.
             interpolation: "nearest", "bilinear" or "bicubic".
             wrap: "zeros", "border", "repeat" or "mirror".
-            transform: 3 x 3 matrix M from the screen to the texture: (U, V, D) = M (x, y, 1), (u, v) = (U / D, V / D),
-                x and y in screen pixels, u and v in texels. It is the inverse of the matrix that lays the texture on
-                the screen. Points with D <= 0 lie beyond the horizon and give 0: -M shows what M hides.
-            size: (height, width) of the screen to cover, where that is not the one it will be rendered on.
+            transform: 3 x 3 matrix M from the screen to the texture: (U, V, D) = M (x, y, 1) and (u, v) =
+                (U / D, V / D), x and y in screen pixels, u and v in texels. It is the inverse of the matrix
+                that lays the texture on the screen. Points with D <= 0 lie beyond the horizon and give 0: -M
+                shows what M hides.
+            size: (height, width) of the screen to cover, where it is not the one to be rendered on.
 
         Raises:
-            McaaError: an image of another type, dtype or shape, or without texels; an unknown interpolation or wrap;
-                a transform that is not 3 x 3, real, finite and invertible; a size that is not two positive integers; a
-                transform and a size together.
+            McaaError: an image of another type, dtype or shape, or without texels; an unknown interpolation
+                or wrap; a transform that is not 3 x 3, real, finite and invertible; a size that is not two
+                positive integers; a transform and a size together.
         """
         if interpolation not in _TAPS:
-            raise McaaError(f"interpolation must be one of {', '.join(_TAPS)}, got {interpolation!r}")
+            raise McaaError(f"interpolation must be one of {', '.join(_TAPS)}; got {interpolation!r}")
         if wrap not in get_args(Wrap):
-            raise McaaError(f"wrap must be one of {', '.join(get_args(Wrap))}, got {wrap!r}")
+            raise McaaError(f"wrap must be one of {', '.join(get_args(Wrap))}; got {wrap!r}")
         if transform is not None and size is not None:
-            raise McaaError(f"a texture takes a transform or a size, got both (size={size!r}); scale by the transform")
+            raise McaaError(f"got a transform and size={size!r}; leave size out, put scale in transform")
         self.image = _as_image(image)
         self.interpolation = interpolation
         self.wrap = wrap
@@ -88,7 +90,7 @@ class Texture:
         self.size = None if size is None else _as_size(size)
 
     def on(self, size: tuple[int, int]) -> Texture:
-        """This texture, covering a screen of (height, width) pixels once; itself where it has a transform or a size.
+        """This texture covering a screen of (height, width) pixels; itself if it has a transform or a size.
 
         Raises:
             McaaError: a size that is not two positive integers.
@@ -110,9 +112,8 @@ class Texture:
             McaaError: the image and x are on two devices.
         """
         if x.device != self.image.device:
-            raise McaaError(
-                f"the texture is on {self.image.device}, the coordinates on {x.device}: make it of image.to('{x.device}')"
-            )
+            there, here = self.image.device, x.device
+            raise McaaError(f"the image is on {there}, x on {here}; use Texture(image.to('{here}'))")
         u, v, hidden = self._to_texture(x, y)
         height, width = self.image.shape[-2:]
         columns, across = self._axis(u, width)
@@ -147,7 +148,7 @@ class Texture:
         return x, y, None
 
     def _axis(self, u: Tensor, n: int) -> tuple[list[tuple[Tensor, Tensor | None]], tuple[Tensor, ...]]:
-        """Along one axis of n texels: the taps, each an index and, for "zeros", where it exists; `_blend`'s weights."""
+        """Along an axis of n texels: taps (index; under "zeros" where it exists) and `_blend`'s weights."""
         start = u if self.interpolation == "nearest" else u - 0.5
         first = torch.floor(start)
         f = (start - first).to(self.image.dtype)
@@ -172,12 +173,12 @@ def _wrapped(index: Tensor, n: int, wrap: Wrap) -> Tensor:
     elif wrap == "mirror":
         index = torch.remainder(index, 2 * n)
         index = torch.minimum(index, 2 * n - 1 - index)
-    # a compiled remainder is inexact where floats step by more than a texel: the clamp holds it in range too
+    # a compiled remainder is inexact where floats step by more than a texel: the clamp serves it too
     return index.clamp(0, n - 1).nan_to_num(0.0).long()
 
 
 def _blend(taps: Sequence[Tensor], weights: tuple[Tensor, ...]) -> Tensor:
-    """Σ weight · tap, the weight of the tap at or before the point left out: it is what the others lack to 1."""
+    """Σ weight · tap, where the tap at or before the point has the weight that the others lack to 1."""
     if len(taps) == 1:
         return taps[0]
     if len(taps) == 2:
@@ -198,9 +199,9 @@ def _as_image(image: Tensor | np.ndarray) -> Tensor:
         # torch takes native byte order and positive strides only, and warns of read-only arrays
         image = torch.from_numpy(np.require(image, image.dtype.newbyteorder("="), ["C", "W"]))
     if not isinstance(image, Tensor) or image.dtype not in (torch.float32, torch.float64, *_FULL_SCALE):
-        raise McaaError(f"image must be a tensor or numpy array of float, uint8, uint16 or bool, got {got}; convert it")
+        raise McaaError(f"image must be a float, uint8, uint16 or bool tensor or array, got {got}; cast it")
     if image.ndim not in (2, 3) or image.numel() == 0:
-        raise McaaError(f"image must be (C, H, W) or (H, W) with at least one texel, got {got}; permute or index it")
+        raise McaaError(f"image must be (C, H, W) or (H, W) and not empty, got {got}; permute or index it")
     if image.dtype in _FULL_SCALE:
         image = image.to(torch.float32) / _FULL_SCALE[image.dtype]
     return image[None] if image.ndim == 2 else image
@@ -208,21 +209,22 @@ def _as_image(image: Tensor | np.ndarray) -> Tensor:
 
 def _as_transform(transform: Tensor | ArrayLike) -> Tensor:
     try:
-        # copied: torch takes positive strides only, and warns of read-only arrays
-        matrix = transform if isinstance(transform, Tensor) else torch.from_numpy(np.array(transform, order="C"))
+        # copied, because torch warns of read-only arrays
+        given = transform if isinstance(transform, Tensor) else torch.from_numpy(np.array(transform))
     except (TypeError, ValueError) as error:
-        raise McaaError(f"transform must be a 3 x 3 matrix of numbers, got {transform!r} ({error})") from error
-    if matrix.shape != (3, 3) or matrix.is_complex():
-        raise McaaError(f"transform must be a real 3 x 3 matrix, got shape {tuple(matrix.shape)}, dtype {matrix.dtype}")
-    scaled = matrix.detach().double().cpu()
-    # rows and columns brought to one size, so that another unit or a large translation does not look degenerate
+        raise McaaError(f"transform must be numbers, got {transform!r} ({error}); pass floats") from error
+    if given.shape != (3, 3) or given.is_complex():
+        got = f"shape {tuple(given.shape)} and dtype {given.dtype}"
+        raise McaaError(f"transform must be 3 x 3 and real, got {got}; pass one such matrix")
+    scaled = given.detach().double().cpu()
+    # rows and columns brought to one size, so that units or a large translation do not look degenerate
     for dim in (1, 0):
         scaled = scaled / scaled.abs().amax(dim, keepdim=True)
-    eps = torch.finfo(matrix.dtype if matrix.is_floating_point() else torch.float64).eps
-    # 16 eps is the rounding of a 3 x 3 determinant; NaN, which fails every comparison, is a zero row or a bad entry
+    eps = torch.finfo(given.dtype if given.is_floating_point() else torch.float64).eps
+    # 16 eps: the rounding of such a determinant. NaN, of a zero row or a bad entry, fails every comparison
     if not float(torch.linalg.det(scaled).abs()) > 16 * eps:
-        raise McaaError(f"transform must be finite and invertible, got {matrix.tolist()}; check its rows")
-    return matrix
+        raise McaaError(f"transform must be finite and invertible, got {given.tolist()}; pass another matrix")
+    return given
 
 
 def _as_size(size: tuple[int, int]) -> tuple[int, int]:

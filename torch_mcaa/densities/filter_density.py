@@ -22,10 +22,7 @@ class FilterDensity(Density):
 
     def __post_init__(self) -> None:
         if not isinstance(self.filter, Filter):
-            raise McaaError(
-                f"FilterDensity: filter must be a Filter; received {self.filter!r}: "
-                "pass one such as Gaussian(0.5)"
-            )
+            raise McaaError(f"FilterDensity: filter must be a Filter; received {self.filter!r}: pass one such as Gaussian(0.5)")
         _ = self.filter.absolute_integral
 
     @property

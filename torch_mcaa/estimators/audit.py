@@ -28,18 +28,16 @@ class Audit:
         self.task, self.strip, self.number = task, strip, number
         # in the strip's last pixel, so that a strip which the screen cuts off does not hold more than its share of points
         self.reference = int(np.argmax(strip.y))
-        self.pairs = [pair for step in strip.basis for pair in self._pair(step)]
-        self.planes = sorted({self.reference, *(plane for pair in self.pairs for plane in pair)})
+        self.neighbours = [self._neighbour(sign * step) for step in strip.basis for sign in (1, -1)]
+        self.planes = sorted({self.reference, *(plane for plane, _, _ in self.neighbours)})
 
-    def _pair(self, step: np.ndarray) -> list[tuple[int, int]]:
-        """Two planes whose samples differ by `step` inside the strip, if any do."""
+    def _neighbour(self, step: np.ndarray) -> tuple[int, int, int]:
+        """The plane of the sample at `step` from the reference, and the change of strip and column that leads there."""
         strip = self.strip
-        x, y = strip.x + step[0], strip.y + step[1]
-        for plane in range(strip.count):
-            if 0 <= x[plane] < 1 and 0 <= y[plane] < strip.period:
-                other = int(np.argmin((strip.x - x[plane]) ** 2 + (strip.y - y[plane]) ** 2))
-                return [(plane, other)]
-        return []
+        x, y = strip.x[self.reference] + step[0], strip.y[self.reference] + step[1]
+        dx, dy = x - strip.x, (y - strip.y) / strip.period
+        plane = int(np.argmin((dx - dx.round()) ** 2 + ((dy - dy.round()) * strip.period) ** 2))
+        return plane, round(float(dy[plane])), round(float(dx[plane]))
 
     def row(self) -> int:
         """The pixel of the strip in which all its audit points lie."""
@@ -60,10 +58,10 @@ class Audit:
     def variance(self, cell: Cell, at: Geometry, audited: Tensor, held: dict[int, Tensor]) -> Tensor:
         """(h, w): the variance that the audit adds, 0 where the lattice resolves f. `audited` and the held planes are (strips, cols)."""
         seen = (audited - held[self.reference]).square()
-        if self.pairs:
-            between = torch.stack([(held[a] - held[b]).square() for a, b in self.pairs])
-        else:
-            between = (held[self.reference][:, 1:] - held[self.reference][:, :-1]).square()[None]
+        between = torch.full((len(self.neighbours), *seen.shape), torch.inf, dtype=seen.dtype, device=seen.device)
+        for steps, (plane, down, right) in zip(between, self.neighbours, strict=True):
+            here, there = _shifted(held[self.reference], down, right), _shifted(held[plane], -down, -right)
+            _shifted(steps, down, right).copy_((there - here).square())
         tall = max(1, min(round(5 / self.strip.period), at.strips))
         wide = min(-(-_POINTS // tall), between.shape[2])
         level = _tiles(between, tall, wide, torch.inf).flatten(2).movedim(0, 1).flatten(1)
@@ -77,6 +75,12 @@ class Audit:
         plane = torch.nan_to_num(power).reshape(down, -1).repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)
         top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
         return plane[top : top + cell.height, left : left + cell.width]
+
+
+def _shifted(plane: Tensor, down: int, right: int) -> Tensor:
+    """The part of a plane whose elements (i, j) have an element (i + down, j + right)."""
+    height, width = plane.shape
+    return plane[max(0, -down) : height - max(0, down), max(0, -right) : width - max(0, right)]
 
 
 def _tiles(planes: Tensor, tall: int, wide: int, fill: float) -> Tensor:

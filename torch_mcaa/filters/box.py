@@ -21,9 +21,7 @@ class Box(SeparableFilter):
     width: float = 1.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "width", pixels("Box", "width", self.width, "pass the side in pixels, such as 1.0")
-        )
+        object.__setattr__(self, "width", pixels("Box", "width", self.width, "pass the side in pixels, such as 1.0"))
 
     @property
     def half_width(self) -> float:

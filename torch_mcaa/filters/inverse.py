@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from functools import cached_property
+from dataclasses import dataclass, field, fields
 
 import torch
 from torch import Tensor
@@ -63,25 +63,33 @@ class InverseTable:
         return torch.minimum(position, right).reshape(u.shape), sign.reshape(u.shape)
 
 
+@dataclass(frozen=True)
 class TableSampledFilter(SeparableFilter):
     """A profile whose CDF is known in closed form but has no closed inverse.
 
     |profile| is sampled through its linear interpolant on at least 256 cells a pixel, whose masses are exact
     and whose nodes include every change of sign, so that signs and weights are exact. What is left is an
-    error of the fourth order in the width of a cell: below 1e-8 of the moments, in float64.
+    error of the fourth order in the width of a cell: below 1e-8 of the moments, in float64. The table is made
+    with the filter and left out of pickles.
     """
+
+    _table: InverseTable = field(init=False, repr=False, compare=False)
 
     @property
     @abstractmethod
     def sign_changes(self) -> tuple[float, ...]:
         """Every position inside the support where the profile changes sign; others may be among them."""
 
-    @cached_property
-    def _table(self) -> InverseTable:
+    def __post_init__(self) -> None:
+        # Not lazily: torch.compile cannot trace the lock of functools.cached_property.
         cells = _CELLS * max(1, math.ceil(self.half_width / 2))
         grid = torch.linspace(-self.half_width, self.half_width, cells + 1, dtype=torch.float64)
         nodes = torch.unique(torch.cat([grid, grid.new_tensor(self.sign_changes)]))
-        return InverseTable(nodes, self.profile(nodes).abs(), self.profile_cdf(nodes).diff())
+        table = InverseTable(nodes, self.profile(nodes).abs(), self.profile_cdf(nodes).diff())
+        object.__setattr__(self, "_table", table)
+
+    def __reduce__(self) -> tuple[type, tuple[object, ...]]:
+        return type(self), tuple(getattr(self, f.name) for f in fields(self) if f.init)
 
     @property
     def absolute_profile_integral(self) -> float:

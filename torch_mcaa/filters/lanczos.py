@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -23,10 +22,14 @@ class Lanczos(TableSampledFilter):
     """
 
     lobes: int = 3
+    _integral: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         lobes = integer("Lanczos", "lobes", self.lobes, 1, 64, "the common values are 2 and 3")
         object.__setattr__(self, "lobes", lobes)
+        half = self._from_zero(torch.tensor(float(lobes), dtype=torch.float64))
+        object.__setattr__(self, "_integral", 2 * float(half))
+        super().__post_init__()
 
     @property
     def half_width(self) -> float:
@@ -36,10 +39,6 @@ class Lanczos(TableSampledFilter):
     def sign_changes(self) -> tuple[float, ...]:
         return tuple(float(d) for d in range(1 - self.lobes, self.lobes) if d != 0)
 
-    @cached_property
-    def _integral(self) -> float:
-        return 2 * float(self._from_zero(torch.tensor(self.half_width, dtype=torch.float64)))
-
     def _from_zero(self, x: Tensor) -> Tensor:
         """∫ sinc(t) sinc(t/lobes) over [0, x], |x| <= lobes: by parts, from the product of sines as a sum."""
         slow, fast = math.pi * (1 - 1 / self.lobes), math.pi * (1 + 1 / self.lobes)
@@ -47,8 +46,8 @@ class Lanczos(TableSampledFilter):
         return self.lobes / (2 * math.pi**2) * waves - x * sinc(x) * sinc(x / self.lobes)
 
     def profile(self, d: Tensor) -> Tensor:
-        windowed = sinc(d) * sinc(d / self.lobes) / self._integral
-        return torch.where(d.abs() <= self.half_width, windowed, 0)
+        inside = d.abs() <= self.half_width
+        return torch.where(inside, sinc(d) * sinc(d / self.lobes) / self._integral, 0)
 
     def profile_cdf(self, d: Tensor) -> Tensor:
         """In closed form with the sine integral, computed in float64 whatever d is."""

@@ -27,6 +27,7 @@ class Mitchell(TableSampledFilter):
         for name in ("b", "c"):
             value = number("Mitchell", name, getattr(self, name), -10, 10, "the common values lie in [0, 1]")
             object.__setattr__(self, name, value)
+        super().__post_init__()
 
     @property
     def half_width(self) -> float:

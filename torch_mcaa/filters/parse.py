@@ -37,9 +37,7 @@ def parse_filter(text: str) -> Filter:
     known = {key.replace("-", ""): make for key, make in _FILTERS.items()}
     make = known.get(name.strip().lower().replace("-", "").replace("_", ""))
     if make is None:
-        raise McaaError(
-            f"no filter is named {name!r}: the names are {', '.join(_FILTERS)}; received {text!r}"
-        )
+        raise McaaError(f"no filter is named {name!r}: the names are {', '.join(_FILTERS)}; received {text!r}")
     values = [_number(part, text) for part in arguments.split(",")] if arguments.strip() else []
     names = list(inspect.signature(make).parameters)
     if len(values) > len(names):
@@ -55,6 +53,5 @@ def _number(part: str, text: str) -> float:
         return float(part)
     except ValueError:
         raise McaaError(
-            f"arguments of a filter must be numbers separated by commas; received {part!r} in {text!r}: "
-            "write it as in gaussian:0.5"
+            f"arguments of a filter must be numbers separated by commas; received {part!r} in {text!r}: write it as in gaussian:0.5"
         ) from None

@@ -46,9 +46,7 @@ def Tabulated(samples: Samples, radius: float = 1.0) -> TabulatedProfile | Tabul
         )
     if not torch.isfinite(values).all():
         bad = int((~torch.isfinite(values)).sum())
-        raise McaaError(
-            f"Tabulated: samples must be finite; received {bad} NaN or infinite ones: replace or drop them"
-        )
+        raise McaaError(f"Tabulated: samples must be finite; received {bad} NaN or infinite ones: replace or drop them")
     integral, size = values, values.abs()
     for n in reversed(shape):
         spacing = 2 * radius / (n - 1)
@@ -62,7 +60,7 @@ def Tabulated(samples: Samples, radius: float = 1.0) -> TabulatedProfile | Tabul
 
 
 class TabulatedProfile(SeparableFilter):
-    """What `Tabulated` returns for a profile; it alone makes one, and checks and normalises `values` first."""
+    """What `Tabulated` returns for a profile; it alone makes one, and checks and normalises `values`."""
 
     def __init__(self, values: Tensor, radius: float) -> None:
         self._values, self._half_width = values, radius

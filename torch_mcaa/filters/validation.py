@@ -12,9 +12,7 @@ SMALLEST, LARGEST = 1e-6, 1e6
 def number(owner: str, name: str, value: object, low: float, high: float, mend: str) -> float:
     """`value` as a float when it is a number in [low, high], else McaaError."""
     if not isinstance(value, Real) or isinstance(value, bool) or not low <= float(value) <= high:
-        raise McaaError(
-            f"{owner}: {name} must be a number in [{low:g}, {high:g}]; received {value!r}: {mend}"
-        )
+        raise McaaError(f"{owner}: {name} must be a number in [{low:g}, {high:g}]; received {value!r}: {mend}")
     return float(value)
 
 
@@ -27,7 +25,5 @@ def integer(owner: str, name: str, value: object, low: int, high: int, mend: str
     """`value` as an int when it is a whole number in [low, high], else McaaError."""
     checked = number(owner, name, value, low, high, mend)
     if checked % 1 != 0:
-        raise McaaError(
-            f"{owner}: {name} must be a whole number in [{low}, {high}]; received {value!r}: {mend}"
-        )
+        raise McaaError(f"{owner}: {name} must be a whole number in [{low}, {high}]; received {value!r}: {mend}")
     return int(checked)

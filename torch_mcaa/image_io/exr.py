@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
 from typing import IO, Any
 
@@ -29,7 +28,7 @@ def openexr() -> ModuleType:
     return module
 
 
-def write_exr(path: Path, layers: dict[str, np.ndarray[Any, Any]], _: int) -> None:
+def write_exr(file: IO[bytes], layers: dict[str, np.ndarray[Any, Any]], _: int) -> None:
     """`layers` (C, H, W) or (H, W) as float32 channels, named as the table of `image_io` says."""
     exr = openexr()
     channels: dict[str, np.ndarray[Any, Any]] = {}
@@ -40,8 +39,7 @@ def write_exr(path: Path, layers: dict[str, np.ndarray[Any, Any]], _: int) -> No
         for suffix, plane in zip(suffixes, planes, strict=True):
             # In any other memory order OpenEXR writes scrambled pixels.
             channels[prefix + suffix] = np.ascontiguousarray(plane, dtype=np.float32)
-    with open(path, "xb") as file:
-        exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels).write(file)
+    exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels).write(file)
 
 
 def read_exr(file: IO[bytes], check: Callable[[int, int, int], None]) -> np.ndarray[Any, Any]:

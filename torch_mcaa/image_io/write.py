@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import torch
@@ -87,7 +88,8 @@ def write_picture(
             layers[name] = _layer(name, value, shape if name == "stderr" else shape[1:])
     temporary = _temporary(target, kind)
     try:
-        _WRITERS[kind](temporary, layers, bits or 8)
+        with _File(io.FileIO(temporary, "x+")) as file:
+            _WRITERS[kind](file, layers, bits or 8)
         with open(temporary, "r+b") as written:
             os.fsync(written.fileno())
         os.replace(temporary, target)
@@ -95,6 +97,13 @@ def write_picture(
         raise McaaError(f"cannot write {path}: {_reason(error)}; nothing there was changed") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+class _File(io.BufferedRandom):
+    """Hides its descriptor: given one, NumPy loses the error of a last block that finds the disk full."""
+
+    def fileno(self) -> int:
+        raise io.UnsupportedOperation("fileno")
 
 
 def _reason(error: Exception) -> str:
@@ -136,28 +145,28 @@ def _last(layer: Array) -> Array:
     return np.moveaxis(layer, 0, -1) if layer.ndim == 3 else layer
 
 
-def _write_png(path: Path, layers: dict[str, Array], bits: int) -> None:
+def _write_png(file: IO[bytes], layers: dict[str, Array], bits: int) -> None:
     # Pillow, and with it imageio and scikit-image, writes no 16-bit colour; kornia brings this encoder.
-    from kornia_rs import io
+    from kornia_rs import io as codec
 
     codes = _quantised(layers["image"], bits)
-    write = io.write_image_png_u8 if bits == 8 else io.write_image_png_u16
+    write = codec.write_image_png_u8 if bits == 8 else codec.write_image_png_u16
     try:
-        write(str(path), codes, {1: "mono", 3: "rgb", 4: "rgba"}[codes.shape[2]])
+        write(str(file.name), codes, {1: "mono", 3: "rgb", 4: "rgba"}[codes.shape[2]])
     except Exception as error:  # a bare Exception is what it raises
         raise OSError(str(error)) from error
 
 
-def _write_tiff(path: Path, layers: dict[str, Array], _: int) -> None:
+def _write_tiff(file: IO[bytes], layers: dict[str, Array], _: int) -> None:
     import tifffile
 
     big = 4 * sum(layer.size for layer in layers.values()) > 2**32 - 2**24
-    with tifffile.TiffWriter(path, bigtiff=big) as file:
+    with tifffile.TiffWriter(file, bigtiff=big) as tiff:
         for name, layer in layers.items():
             samples = layer.shape[0] if layer.ndim == 3 else 1
             pixels = _last(layer) if samples > 1 else layer.reshape(layer.shape[-2:])
             extra = {1: None, 3: None, 4: ("unassalpha",)}.get(samples, ("unspecified",) * (samples - 1))
-            file.write(
+            tiff.write(
                 np.ascontiguousarray(pixels, dtype=np.float32),
                 photometric="rgb" if samples in (3, 4) else "minisblack",
                 planarconfig="contig" if samples > 1 else None,
@@ -167,18 +176,16 @@ def _write_tiff(path: Path, layers: dict[str, Array], _: int) -> None:
             )
 
 
-def _write_npz(path: Path, layers: dict[str, Array], _: int) -> None:
+def _write_npz(file: IO[bytes], layers: dict[str, Array], _: int) -> None:
     named: dict[str, Any] = {name: _last(layer) for name, layer in layers.items()}
-    with open(path, "xb") as file:
-        np.savez(file, **named)
+    np.savez(file, **named)
 
 
-def _write_npy(path: Path, layers: dict[str, Array], _: int) -> None:
-    with open(path, "xb") as file:
-        np.save(file, _last(layers["image"]))
+def _write_npy(file: IO[bytes], layers: dict[str, Array], _: int) -> None:
+    np.save(file, _last(layers["image"]))
 
 
-_WRITERS: dict[str, Callable[[Path, dict[str, Array], int], None]] = {
+_WRITERS: dict[str, Callable[[IO[bytes], dict[str, Array], int], None]] = {
     ".png": _write_png,
     ".exr": write_exr,
     ".tif": _write_tiff,

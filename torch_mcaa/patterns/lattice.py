@@ -15,7 +15,7 @@ from torch_mcaa.patterns.lattice_table import STRIPS
 
 # mean square of the three character sums over the variance of the mean, on edges of every direction: 3 for an edge across a dual vector
 # (sum over j >= 0 of (j + 1/2)^-2 against j^-2), 7 on average over directions (n^-1.5 at a quarter of the points), 3 for white noise
-CHARACTER_RATIO = 4.5
+CHARACTER_RATIO = 3.8
 
 
 @dataclass(frozen=True)
@@ -97,17 +97,20 @@ class Lattice(Pattern):
         index = np.arange(count)
         x, y = (generator * index % count) / count, period * index / count
         # k with g k_x + period k_y = 0 mod count, odd in the wanted places: k . p is an integer, its parity the character
+        # a point that the shift moves out of the strip comes back in from the column or strip before, where the sign may be the other
+        moved_x, moved_y = x + shift[0], y / period + shift[1]
         signs = []
         for a, b in Strip.parities:
             second = count * b if not a else (-generator % count)
             if a and second % 2 != b:
                 second += count
-            signs.append(1 - 2 * ((a * (generator * index % count) + second * index) // count % 2))
+            whole = (a * (generator * index % count) + second * index) // count
+            signs.append(1 - 2 * ((whole + a * np.floor(moved_x).astype(int) + b * np.floor(moved_y).astype(int)) % 2))
         dual = np.stack(reduced_basis(np.array([1.0, -generator / period]), np.array([0.0, count / period])))
         return Strip(
             period,
-            (x + shift[0]) % 1.0,
-            (y + shift[1] * period) % period,
+            moved_x % 1.0,
+            moved_y % 1.0 * period,
             np.linalg.inv(dual).T,
             np.array(signs),
         )

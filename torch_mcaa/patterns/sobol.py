@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.patterns.base import Pattern, check_count, check_points, independent_variance
+from torch_mcaa.patterns.jittered import neighbour_variance, strata
 
 __all__ = ["Sobol"]
 
@@ -45,10 +46,10 @@ class Sobol(Pattern):
         return u, v
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """`contrast_variance` of the aligned blocks of 2**k points that n is the sum of.
+        """The sum over the aligned blocks of 2**k points that n is made of: each is a net with one point a cell.
 
-        Blocks of 1 or 2 points have no contrast: they, and all of n < 4, take their share of the plain
-        spread. MEASURED
+        Blocks of 16 or more by `contrast_variance`; of 4 or 8 by `neighbour_variance`, since an edge that splits few
+        cells evenly has no contrast; of 1 or 2 by their share of the plain spread of all terms. MEASURED
         """
         n = terms.shape[0]
         if n < 4:
@@ -58,20 +59,25 @@ class Sobol(Pattern):
         for power in range(n.bit_length() - 1, 1, -1):
             if n >> power & 1:
                 block = slice(start, start + (1 << power))
-                total += contrast_variance(terms[block], u[block], v[block])
+                cells = _by_cell(terms[block], u[block], v[block])
+                total += contrast_variance(cells) if power > 3 else neighbour_variance(cells)
                 start = block.stop
         return total
 
 
-def contrast_variance(terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """n / 4 mean(c**2) over the overlapping contrasts c = t00 - t01 - t10 + t11 of a net's n = 2**k cells."""
-    n = terms.shape[0]
-    power = n.bit_length() - 1
-    width, height = 1 << (power + 1) // 2, 1 << power // 2
+def _by_cell(terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """The terms of a net of n = 2**k points in the order of `strata(n)`, of which each holds one point."""
+    height, width = strata(len(terms))
     cell = (v * height).to(torch.int64).mul_(width).add_((u * width).to(torch.int64))
-    # A cell that no point filled must show: these were not the net's points.
-    grid = torch.full_like(terms, torch.nan).scatter_(0, cell, terms).unflatten(0, (height, width))
-    return grid.diff(dim=0).diff(dim=1).square_().mean((0, 1)).mul_(n / 4)
+    # A cell that no point filled must show: the points were not the net's.
+    return torch.full_like(terms, torch.nan).scatter_(0, cell, terms)
+
+
+def contrast_variance(cells: Tensor) -> Tensor:
+    """n / 4 mean(c**2) over the overlapping contrasts c = t00 - t01 - t10 + t11 of n cells in rows and columns."""
+    n = len(cells)
+    contrasts = cells.unflatten(0, strata(n)).diff(dim=0).diff(dim=1)
+    return contrasts.square_().mean((0, 1)).mul_(n / 4)
 
 
 def _second_axis(index: Tensor) -> Tensor:

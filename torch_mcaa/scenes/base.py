@@ -43,8 +43,7 @@ class Scene(ABC):
         axis, so the values differ by at most 1.2e-6 of the range of f (for `Quadratic`, whose range has no
         end, by 1.5e-5 std² (xx + yy)).
 
-        Raises McaaError where the scene has no closed form under this filter, or the Gaussian is cut within 5
-        std.
+        Raises McaaError where the scene has no closed form under this filter, or the Gaussian is cut within 5 std.
         """
         forms = self._closed_forms()
         kind = type(filter)
@@ -68,6 +67,4 @@ def require_positive(owner: object, **values: float) -> None:
     """Raise McaaError for the first of the values that is not a finite number above 0."""
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0):
-            raise McaaError(
-                f"{type(owner).__name__}: {name} must be a finite number above 0, got {value}: give one"
-            )
+            raise McaaError(f"{type(owner).__name__}: {name} must be a finite number above 0, got {value}: give one")

@@ -100,9 +100,7 @@ class ColorDisc(Scene):
 
     def __post_init__(self) -> None:
         if not self.inside or len(self.inside) != len(self.outside):
-            raise McaaError(
-                f"ColorDisc needs colours of one length, got {self.inside} and {self.outside}: match them"
-            )
+            raise McaaError(f"ColorDisc needs colours of one length, got {self.inside} and {self.outside}: match them")
 
     def __call__(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
         return self._mix(self.disc(x, y))

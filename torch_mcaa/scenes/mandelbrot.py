@@ -17,10 +17,9 @@ _BAILOUT = 256.0
 
 @dataclass(frozen=True)
 class Mandelbrot(Scene):
-    """Smoothed count of steps z ← z² + c until |z| > 256, as a share of `iterations`; 0 where z stays.
+    """Root of the share of `iterations` that z ← z² + c takes until |z| > 256, smoothed; 0 where z stays.
 
-    (cx, cy) is the pixel position that shows c = real + i imag, `scale` the pixels a unit of c. `exact`
-    raises.
+    (cx, cy) is the pixel position that shows c = real + i imag, `scale` the pixels a unit of c. `exact` always raises.
     """
 
     cx: float
@@ -45,7 +44,7 @@ class Mandelbrot(Scene):
         norm2 = u * u + v * v
         escaped = norm2 > _BAILOUT**2
         doublings = torch.log2(torch.log(norm2.clamp_min(_BAILOUT**2)) / math.log(_BAILOUT**2))
-        return torch.where(escaped, (count - doublings) / self.iterations, 0.0)
+        return torch.where(escaped, torch.sqrt((count - doublings).clamp_min(0) / self.iterations), 0.0)
 
     def _closed_forms(self) -> Mapping[type[Filter], ClosedForm]:
         return {}

@@ -34,9 +34,7 @@ class Polygon(Scene):
 
     def __post_init__(self) -> None:
         if len(self.vertices) < 3 or self._signed_area() == 0:
-            raise McaaError(
-                f"Polygon needs three or more vertices around an area, got {self.vertices}: give an outline"
-            )
+            raise McaaError(f"Polygon needs three or more vertices around an area, got {self.vertices}: give an outline")
 
     def _edges(self) -> Sequence[tuple[tuple[float, float], tuple[float, float]]]:
         return list(zip(self.vertices, (*self.vertices[1:], self.vertices[0]), strict=True))

@@ -78,9 +78,7 @@ class Stripe(Scene):
 
     def _box(self, cx: Tensor, cy: Tensor, width: float) -> Tensor:
         d = _across(self.angle, self.offset, cx, cy)
-        above, below = (
-            _square_above_line(d + side, self.angle, width) for side in (self.width / 2, -self.width / 2)
-        )
+        above, below = (_square_above_line(d + side, self.angle, width) for side in (self.width / 2, -self.width / 2))
         return above - below
 
 
@@ -101,8 +99,7 @@ class Hairlines(Scene):
         gap = min((b - a for a, b in pairwise(ordered)), default=math.inf)
         if not ordered or not gap > self.width:
             raise McaaError(
-                f"Hairlines needs one or more offsets further apart than the width {self.width}, "
-                f"got {self.offsets}: spread them"
+                f"Hairlines needs one or more offsets further apart than the width {self.width}, got {self.offsets}: spread them"
             )
 
     def __call__(self, x: Tensor, y: Tensor) -> Tensor:

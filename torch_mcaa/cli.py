@@ -1,0 +1,182 @@
+"""The command line: `mcaa demo`, `mcaa render`."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from torch_mcaa.errors import McaaError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
+
+_IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".npy", ".bmp", ".webp", ".gif"}
+
+
+def main() -> None:
+    """Run the command line; an error of ours is one line on the standard error and exit status 2."""
+    try:
+        app()
+    except McaaError as error:
+        print(f"mcaa: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(2)
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="the folder for the pictures")] = Path("mcaa-demo"),
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT of each picture")] = "256x256",
+    spp: Annotated[int, typer.Option(help="evaluations a pixel, at most")] = 16,
+    force: Annotated[bool, typer.Option("--force", help="write over pictures that are there")] = False,
+) -> None:
+    """Render the built-in scenes: picture, standard error and evaluations per pixel side by side."""
+    from torch_mcaa.demo import run_demo
+
+    run_demo(output, _size(size), spp, force)
+
+
+@app.command()
+def render(
+    scene: Annotated[str, typer.Argument(help="scene.py:f, or an image file, which covers the screen once")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".png, .exr, .tiff, .npz or .npy")],
+    size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels; of an image, its own by default, else 512x512")] = None,
+    spp: Annotated[int, typer.Option(help="evaluations a pixel, at most")] = 16,
+    filter: Annotated[str, typer.Option(help="box, tent, gaussian:0.5, mitchell:1/3,1/3, lanczos:3, ...")] = "gaussian:0.5",
+    estimator: Annotated[str, typer.Option(help="auto, shared or importance")] = "auto",
+    tolerance: Annotated[float | None, typer.Option(help="absolute error to work for")] = None,
+    seconds: Annotated[float | None, typer.Option(help="wall time after which to stop")] = None,
+    extent: Annotated[str | None, typer.Option(help="x0,x1,y0,y1 in the scene's coordinates")] = None,
+    boundary: Annotated[str, typer.Option(help="extend, zero or renormalize")] = "extend",
+    nonfinite: Annotated[str, typer.Option(help="raise, ignore or propagate")] = "raise",
+    seed: Annotated[int, typer.Option()] = 0,
+    bits: Annotated[int | None, typer.Option(help="8 or 16, of a PNG")] = None,
+    transform: Annotated[str | None, typer.Option(help="9 numbers a,b,c,... row by row: screen pixels to texels of an image")] = None,
+    interpolation: Annotated[str, typer.Option(help="nearest, bilinear or bicubic, of an image")] = "bilinear",
+    wrap: Annotated[str, typer.Option(help="zeros, border, repeat or mirror, of an image")] = "border",
+    force: Annotated[bool, typer.Option("--force", help="write over a file that is there")] = False,
+) -> None:
+    """Render a user's function, or an image through a transform, to a file."""
+    from torch_mcaa import render as _render
+    from torch_mcaa.filters import parse_filter
+    from torch_mcaa.image_io import check_target
+
+    check_target(output, force=force)
+    w = parse_filter(filter)
+    chosen = _estimator(estimator)
+    if _is_image(scene):
+        f, natural = _texture(scene, transform, interpolation, wrap)
+        shape = natural if size is None else _size(size)
+    else:
+        if transform is not None:
+            raise McaaError(f"--transform is for image files, and {scene!r} is a function; transform x and y in it")
+        f, shape = load_function(scene), _size(size or "512x512")
+    picture = _render(
+        f,
+        shape,
+        filter=w,
+        estimator=chosen,
+        spp=spp,
+        tolerance=tolerance,
+        seconds=seconds,
+        extent=None if extent is None else _numbers(extent, 4, "--extent"),  # pyright: ignore[reportArgumentType]
+        boundary=boundary,  # pyright: ignore[reportArgumentType]
+        nonfinite=nonfinite,  # pyright: ignore[reportArgumentType]
+        seed=seed,
+    )
+    picture.save(output, bits=bits, force=force)
+    error = picture.stderr[picture.stderr.isfinite()]
+    typical = float(error.square().mean().sqrt()) if error.numel() else float("nan")
+    print(
+        f"{output}: {shape[1]} x {shape[0]}, {float(picture.spp.double().mean()):.1f} evaluations a pixel in {picture.seconds:.2f} s, "
+        f"standard error {typical:.1e} (root mean square), stopped by {picture.stopped}"
+    )
+    if int(picture.invalid.sum()):
+        print(f"{int(picture.invalid.sum())} evaluations were not finite", file=sys.stderr)
+    if picture.stopped == "interrupted":
+        sys.exit(130)
+
+
+def load_function(place: str) -> Callable[..., Any]:
+    """The function of `file.py:name`.
+
+    Raises:
+        McaaError: no such file, not Python, no such name in it, or not a function; the message names what there is.
+    """
+    path, _, name = place.rpartition(":")
+    if not path or not name:
+        raise McaaError(f"a scene is written file.py:function or as an image file, got {place!r}")
+    file = Path(path)
+    if not file.is_file():
+        raise McaaError(f"there is no file {path!r}; a scene is written file.py:function")
+    try:
+        source = file.read_text(encoding="utf-8")
+        tree = ast.parse(source, filename=path)
+    except (OSError, SyntaxError, UnicodeDecodeError, ValueError) as error:
+        raise McaaError(f"{path} cannot be read as Python: {error}") from error
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(file.parent.resolve()))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise McaaError(f"{path} raised {type(error).__name__} when it was loaded: {error}") from error
+    finally:
+        sys.path.remove(str(file.parent.resolve()))
+    if not hasattr(module, name):
+        known = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
+        raise McaaError(f"{path} has no {name!r}; it has {', '.join(known) if known else 'no functions'}")
+    f = getattr(module, name)
+    if not callable(f):
+        raise McaaError(f"{name!r} in {path} is {type(f).__name__}, not a function of x and y")
+    return f
+
+
+def _is_image(scene: str) -> bool:
+    return Path(scene).suffix.lower() in _IMAGES
+
+
+def _texture(path: str, transform: str | None, interpolation: str, wrap: str) -> tuple[Any, tuple[int, int]]:
+    import torch
+
+    from torch_mcaa.image_io import read_image
+    from torch_mcaa.texture import Texture
+
+    image = read_image(path)
+    matrix = None
+    if transform is not None:
+        matrix = torch.tensor(_numbers(transform, 9, "--transform"), dtype=torch.float64).reshape(3, 3)
+    texture = Texture(image, interpolation, wrap, transform=matrix)  # pyright: ignore[reportArgumentType]
+    return texture, (image.shape[1], image.shape[2])
+
+
+def _estimator(name: str) -> Any:
+    from torch_mcaa import Auto, Importance, Shared
+
+    known = {"auto": Auto, "shared": Shared, "importance": Importance}
+    if name not in known:
+        raise McaaError(f"unknown estimator {name!r}; choose from {', '.join(known)}")
+    return known[name]()
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise McaaError(f"a size is written WIDTHxHEIGHT, for instance 1920x1080, got {text!r}")
+    return int(height), int(width)
+
+
+def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise McaaError(f"{option} takes {count} numbers separated by commas, got {text!r}") from error
+    if len(numbers) != count:
+        raise McaaError(f"{option} takes {count} numbers separated by commas, got {len(numbers)}: {text!r}")
+    return numbers
