@@ -279,6 +279,9 @@ def test_exr_of_others(tmp_path: Path) -> None:
     corners = {"dataWindow": (np.array([-3, 2], np.int32), np.array([3, 6], np.int32))}
     write({"Y": planes[0]}, **corners)
     assert torch.equal(read_image(path), torch.from_numpy(planes[:1]))
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(McaaError, match="damaged or truncated"):
+        read_image(path)
     for channels in ({"Z": planes[0]}, {"Y": planes[0], "RY": planes[1], "BY": planes[2]}):
         write(channels)
         with pytest.raises(McaaError, match="channels"):

@@ -1,10 +1,13 @@
 """The counter-based bits: arguments, agreement of int, tensor and compiled paths, and statistical quality.
 
-Statistical tests have fixed seeds and significance 1e-5 (4.42 standard deviations for one two-sided normal test); where many
-statistics are looked at together, the level is divided among them (Sidak).
+Statistical tests have fixed seeds and significance 1e-5 (4.42 standard deviations for one two-sided normal
+test); where many statistics are looked at together, the level is divided among them (Sidak).
 """
 
 from __future__ import annotations
+
+import os
+import shutil
 
 import pytest
 import torch
@@ -17,7 +20,10 @@ from torch_mcaa.rng import bits, uniform
 ALPHA = 1e-5
 SIDE = torch.arange(512)
 KEYS = [0, 1, -1, 7, -513, 2**31, 2**32 + 5, 2**40, -(2**50) - 3, 2**63 - 1, -(2**63)]
-DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA"))]
+NO_CUDA = pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+NO_COMPILER = pytest.mark.skipif(shutil.which(os.environ.get("CXX", "g++")) is None, reason="Inductor needs a C++ compiler")
+DEVICES = ["cpu", pytest.param("cuda", marks=[pytest.mark.gpu, NO_CUDA])]
+BACKENDS = ["aot_eager", pytest.param("inductor", marks=NO_COMPILER)]
 
 
 def z_bound(tests: int) -> float:
@@ -43,7 +49,7 @@ def lowbias32(x: int) -> int:
     return x ^ (x >> 16)
 
 
-# --- arguments and agreement -----------------------------------------------------------------------------------
+# --- arguments and agreement
 
 
 def test_the_chain_is_what_it_says() -> None:
@@ -61,8 +67,10 @@ def test_ints_and_tensors_give_the_same_numbers(device: str) -> None:
         for position in range(3):
             keys: list[int | Tensor] = [4, -9, 2**35]
             together = bits(seed, *keys[:position], tensor, *keys[position:])
-            assert together.dtype == torch.int64 and together.shape == tensor.shape
-            assert together.min() >= 0 and together.max() < 2**32
+            assert together.dtype == torch.int64
+            assert together.shape == tensor.shape
+            assert together.min() >= 0
+            assert together.max() < 2**32
             one_by_one = [bits(seed, *keys[:position], key, *keys[position:]).item() for key in KEYS]
             assert together.tolist() == one_by_one
     for dtype in (torch.float32, torch.float64):
@@ -122,7 +130,7 @@ def test_the_global_generator_is_left_alone() -> None:
     assert torch.equal(before, torch.get_rng_state())
 
 
-@pytest.mark.parametrize("backend", ["aot_eager", "inductor"])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_compiled_bits_are_the_same(backend: str) -> None:
     def points(rows: Tensor, cols: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
         return bits(2**63 + 11, 3, rows, cols, index), uniform(11, rows, cols, index)
@@ -135,18 +143,22 @@ def test_compiled_bits_are_the_same(backend: str) -> None:
         assert torch.equal(got, wanted)
 
 
-# --- statistical quality ---------------------------------------------------------------------------------------
+# --- statistical quality
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_uniform_range_and_resolution(dtype: torch.dtype) -> None:
     u = uniform(1, torch.arange(1 << 20), dtype=dtype)
-    assert u.dtype == dtype and u.min() >= 0 and u.max() < 1
+    assert u.dtype == dtype
+    assert u.min() >= 0
+    assert u.max() < 1
     steps = u.double() * 2.0 ** (24 if dtype == torch.float32 else 53)
     assert torch.equal(steps, steps.round())
     assert chi_square_p(torch.histc(u, 1024, 0, 1)) > ALPHA
     low = torch.remainder(steps, 1024)  # the finest ten bits are as good as the coarsest
     assert chi_square_p(torch.histc(low, 1024, 0, 1024)) > ALPHA
+    if dtype == torch.float64:
+        assert u.unique().numel() == len(u), "2**20 of 2**53 numbers: 6e-5 equal pairs expected, and 128 of 2**32"
 
 
 def test_float32_is_float64_cut() -> None:
@@ -154,32 +166,37 @@ def test_float32_is_float64_cut() -> None:
     assert torch.equal(single.double(), (double * 2**24).floor() / 2**24)
 
 
-def test_largest_numbers_stay_below_one() -> None:
-    index = torch.arange(1 << 24)
-    top = index[bits(0, index) >= 2**32 - 256]
-    assert len(top) > 0
-    for dtype in (torch.float32, torch.float64):
-        u = uniform(0, top, dtype=dtype)
-        assert 1 - 2.0**-24 <= u.min() and u.max() < 1
+def test_largest_number_stays_below_one() -> None:
+    key = 114469753  # found by search
+    assert bits(0, key) == 2**32 - 1
+    for keys in (key, torch.tensor([key])):
+        assert uniform(0, keys) == 1 - 2.0**-24
+        assert 1 - 2.0**-27 <= uniform(0, keys, dtype=torch.float64) < 1
 
 
 @pytest.mark.parametrize("first", [0, -256])
 def test_streams_of_a_picture_meet_no_more_than_by_chance(first: int) -> None:
-    """2**18 pixels: 2**35 pairs / 2**32 = 8 equal pairs expected in each of 40 pictures; their number is Poisson."""
+    """2**18 pixels: 2**35 pairs / 2**32 = 8 equal pairs expected in each of 16 pictures; their number is Poisson."""
     meetings = 0
-    for seed in range(40):
+    for seed in range(16):
         values = bits(seed, (SIDE + first)[:, None], SIDE + first).flatten()
         meetings += values.numel() - values.unique().numel()
-    assert stats.poisson.cdf(meetings, 320) > ALPHA / 2
-    assert stats.poisson.sf(meetings - 1, 320) > ALPHA / 2
+    assert stats.poisson.cdf(meetings, 128) > ALPHA / 2
+    assert stats.poisson.sf(meetings - 1, 128) > ALPHA / 2
 
 
 def test_rows_and_columns_are_not_symmetric() -> None:
     for seed in range(10):
         values = bits(seed, SIDE[:, None], SIDE)
-        # 2**17 pairs (r, c), (c, r) agree by chance with probability 2**-15 a picture; so for the shifted pairs
+        # 2**17 pairs (r, c), (c, r) agree by chance with probability 2**-15 a picture; so for the shifted
+        # pairs
         assert (values == values.T).sum() <= 512 + 2
-        for moved in (values.roll((1, -1), (0, 1)), values.roll((1, 1), (0, 1)), values.flip(0), values.flip(1)):
+        for moved in (
+            values.roll((1, -1), (0, 1)),
+            values.roll((1, 1), (0, 1)),
+            values.flip(0),
+            values.flip(1),
+        ):
             assert (values == moved).sum() <= 2
 
 
@@ -198,7 +215,7 @@ def test_pairs_of_bits_are_independent() -> None:
 
 def test_neighbouring_pixels_are_uncorrelated() -> None:
     u = picture()
-    shifts = [(dr, dc) for dr in range(-4, 5) for dc in range(-4, 5) if (dr, dc) > (0, 0)]
+    shifts = [(dr, dc) for dr in range(-3, 4) for dc in range(-3, 4) if (dr, dc) > (0, 0)]
     z = torch.stack([(u * u.roll(shift, (0, 1))).sum() * 12 / 512 for shift in shifts])
     assert z.abs().max() < z_bound(len(shifts))
 
@@ -211,11 +228,11 @@ def test_neighbouring_keys_give_uncorrelated_pictures(what: str) -> None:
         "dimension": lambda k: picture(1, 2, k),
         "index": lambda k: uniform(1, SIDE[:, None], SIDE, k, dtype=torch.float64) - 0.5,
     }[what]
-    u = torch.stack([make(k).flatten() for k in range(24)])
+    u = torch.stack([make(k).flatten() for k in range(12)])
     z = (u @ u.T * 12 / 512).triu(1)
-    assert z.abs().max() < z_bound(24 * 23 // 2)
+    assert z.abs().max() < z_bound(12 * 11 // 2)
     squares = (u * u - 1 / 12) * 180**0.5  # (u - 1/2)**2 has variance 1/180
-    assert (squares @ squares.T / 512).triu(1).abs().max() < z_bound(24 * 23 // 2)
+    assert (squares @ squares.T / 512).triu(1).abs().max() < z_bound(12 * 11 // 2)
 
 
 @pytest.mark.parametrize("shift", [(0, 1), (1, 0), (1, 1), (1, -1)])
@@ -246,7 +263,8 @@ def test_avalanche(position: int) -> None:
     flipped = key ^ (1 << torch.arange(63))[:, None]
     before, after = (bits(7, *(k, 2) if position == 0 else (2, k)) for k in (key, flipped))
     changes = ((before ^ after)[..., None] >> torch.arange(32) & 1).double().mean(1)
-    # lowbias32 has an exact bias below 0.2 % of a flip (0.17 by its author's measure), which 4096 samples cannot see
+    # lowbias32 has an exact bias below 0.2 % of a flip (0.17 by its author's measure), which 4096 samples
+    # cannot see
     assert (changes - 0.5).abs().max() * 2 * samples**0.5 < z_bound(changes.numel())
 
 

@@ -1,8 +1,8 @@
-"""Exact pixel values of a texture that covers the screen, nearest or bilinear, under a box or a Gaussian: test-only.
+"""Exact pixel values of a texture that covers the screen, nearest or bilinear, under a box or a Gaussian.
 
-Along one axis the texture is a sum of texels times B(s x - j - 1/2), s texels a pixel, B a unit box (nearest) or a unit tent (bilinear), so a
-pixel's value is linear in the texels: value = Wy @ image @ Wx.T, W[h, j] = ∫ B(s x - j - 1/2) profile(x - c_h) dx. A box is a difference
-of steps and a tent a second difference of ramps, whose integrals against the profile are its tail and the integral of its tail:
+Along one axis the texture is a sum of texels times B(s x - j - 1/2), s texels a pixel, B a unit box (nearest) or a unit tent
+(bilinear). A pixel's value is linear in the texels, Wy @ image @ Wx.T with W[h, j] = ∫ B(s x - j - 1/2) profile(x - c_h) dx. A box
+is a difference of steps and a tent a second difference of ramps, whose integrals against the profile are
 
     tail(t) = ∫_{d > t} profile(d) dd            rest(t) = ∫_{d > t} (d - t) profile(d) dd = ∫_t^∞ tail
 """
@@ -36,12 +36,14 @@ def box(width: float) -> Profile:
 
 
 def gaussian(std: float, radius: float = math.inf) -> Profile:
-    """Normal density, cut at `radius` and renormalised: ∫_t^R (d - t) φ(d / σ) / σ dd = σ (φ(t / σ) - φ(R / σ)) - t (Φ(R / σ) - Φ(t / σ))."""
+    """Normal density cut at `radius` R and renormalised: ∫_t^R (d - t) φ(d/σ)/σ dd = σ (φ(t/σ) - φ(R/σ)) - t (Φ(R/σ) - Φ(t/σ))."""
     # an uncut normal is 0 in float64 beyond 39 standard deviations
     reach = min(radius, 39 * std)
-    density = lambda z: torch.exp(-z * z / 2) / math.sqrt(2 * math.pi)  # noqa: E731
     edge = torch.tensor(reach / std, dtype=torch.float64)
     mass = 1 - 2 * torch.special.ndtr(-edge)
+
+    def density(z: Tensor) -> Tensor:
+        return torch.exp(-z * z / 2) / math.sqrt(2 * math.pi)
 
     def tail(t: Tensor) -> Tensor:
         return (torch.special.ndtr(-(t / std).clamp(-edge, edge)) - torch.special.ndtr(-edge)) / mass
@@ -61,26 +63,27 @@ def weights(pixels: int, texels: int, profile: Profile, interpolation: str, wrap
     virtual = torch.arange(first, last + 1)
     centre = torch.arange(pixels, dtype=torch.float64) + 0.5
     # where the virtual texel's centre lies, in pixels from the pixel's centre
-    place = (virtual + 0.5)[None, :] / scale - centre[:, None]
+    place = (virtual.double() + 0.5)[None, :] / scale - centre[:, None]
     half = 0.5 / scale
     if interpolation == "nearest":
         virtual_weights = profile.tail(place - half) - profile.tail(place + half)
     else:
-        virtual_weights = scale * (profile.rest(place - 2 * half) - 2 * profile.rest(place) + profile.rest(place + 2 * half))
-    real = [_real(int(j), texels, wrap) for j in virtual]
+        before, at, after = (profile.rest(place + shift) for shift in (-2 * half, 0, 2 * half))
+        virtual_weights = scale * (before - 2 * at + after)
+    real = [real_texel(int(j), texels, wrap) for j in virtual]
     kept = torch.tensor([j is not None for j in real])
     target = torch.tensor([j for j in real if j is not None])
     return torch.zeros(pixels, texels, dtype=torch.float64).index_add(1, target, virtual_weights[:, kept])
 
 
 def pixel_values(image: Tensor, size: tuple[int, int], profile: Profile, interpolation: str, wrap: str) -> Tensor:
-    """(C, H, W) float64: the exact picture of a (C, h, w) texture on a screen of `size` = (H, W) pixels; f goes on beyond the screen."""
+    """(C, H, W) float64: the exact picture of a (C, h, w) texture on a screen of `size` pixels; f goes on beyond the screen."""
     down = weights(size[0], image.shape[-2], profile, interpolation, wrap)
     across = weights(size[1], image.shape[-1], profile, interpolation, wrap)
     return down @ image.double() @ across.T
 
 
-def _real(j: int, n: int, wrap: str) -> int | None:
+def real_texel(j: int, n: int, wrap: str) -> int | None:
     """The texel that virtual texel j stands for, by walking: None is a texel of 0."""
     if wrap == "zeros":
         return j if 0 <= j < n else None

@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import ast
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from torch_mcaa.errors import McaaError
+from torch_mcaa.errors import McaaError, McaaWarning
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help=__doc__)
 
-_IMAGES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".npy", ".bmp", ".webp", ".gif"}
+_IMAGES = {
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".tif",
+    ".tiff",
+    ".exr",
+    ".npy",
+    ".npz",
+    ".bmp",
+    ".webp",
+    ".gif",
+    ".pbm",
+    ".pgm",
+    ".ppm",
+    ".pnm",
+}
 
 
 def main() -> None:
@@ -54,7 +71,9 @@ def render(
     nonfinite: Annotated[str, typer.Option(help="raise, ignore or propagate")] = "raise",
     seed: Annotated[int, typer.Option()] = 0,
     bits: Annotated[int | None, typer.Option(help="8 or 16, of a PNG")] = None,
-    transform: Annotated[str | None, typer.Option(help="9 numbers a,b,c,... row by row: screen pixels to texels of an image")] = None,
+    transform: Annotated[
+        str | None, typer.Option(help="9 numbers a,b,c,... row by row: screen pixels to texels of an image")
+    ] = None,
     interpolation: Annotated[str, typer.Option(help="nearest, bilinear or bicubic, of an image")] = "bilinear",
     wrap: Annotated[str, typer.Option(help="zeros, border, repeat or mirror, of an image")] = "border",
     force: Annotated[bool, typer.Option("--force", help="write over a file that is there")] = False,
@@ -65,6 +84,8 @@ def render(
     from torch_mcaa.image_io import check_target
 
     check_target(output, force=force)
+    if bits is not None and (bits not in (8, 16) or output.suffix.lower() != ".png"):
+        raise McaaError(f"--bits must be 8 or 16, and is for .png only; got {bits} for {output}")
     w = parse_filter(filter)
     chosen = _estimator(estimator)
     if _is_image(scene):
@@ -74,29 +95,33 @@ def render(
         if transform is not None:
             raise McaaError(f"--transform is for image files, and {scene!r} is a function; transform x and y in it")
         f, shape = load_function(scene), _size(size or "512x512")
-    picture = _render(
-        f,
-        shape,
-        filter=w,
-        estimator=chosen,
-        spp=spp,
-        tolerance=tolerance,
-        seconds=seconds,
-        extent=None if extent is None else _numbers(extent, 4, "--extent"),  # pyright: ignore[reportArgumentType]
-        boundary=boundary,  # pyright: ignore[reportArgumentType]
-        nonfinite=nonfinite,  # pyright: ignore[reportArgumentType]
-        seed=seed,
-    )
+    with warnings.catch_warnings():
+        # of a user's interruption; it is said below, in a line
+        warnings.simplefilter("ignore", McaaWarning)
+        picture = _render(
+            f,
+            shape,
+            filter=w,
+            estimator=chosen,
+            spp=spp,
+            tolerance=tolerance,
+            seconds=seconds,
+            extent=None if extent is None else _numbers(extent, 4, "--extent"),  # pyright: ignore[reportArgumentType]
+            boundary=boundary,  # pyright: ignore[reportArgumentType]
+            nonfinite=nonfinite,  # pyright: ignore[reportArgumentType]
+            seed=seed,
+        )
     picture.save(output, bits=bits, force=force)
     error = picture.stderr[picture.stderr.isfinite()]
     typical = float(error.square().mean().sqrt()) if error.numel() else float("nan")
     print(
-        f"{output}: {shape[1]} x {shape[0]}, {float(picture.spp.double().mean()):.1f} evaluations a pixel in {picture.seconds:.2f} s, "
-        f"standard error {typical:.1e} (root mean square), stopped by {picture.stopped}"
+        f"{output}: {shape[1]} x {shape[0]}, {float(picture.spp.double().mean()):.1f} evaluations a pixel "
+        f"in {picture.seconds:.2f} s, standard error {typical:.1e} (root mean square), stopped by {picture.stopped}"
     )
     if int(picture.invalid.sum()):
         print(f"{int(picture.invalid.sum())} evaluations were not finite", file=sys.stderr)
     if picture.stopped == "interrupted":
+        print("mcaa: interrupted: pixels without a value are NaN, with a standard error of +inf", file=sys.stderr)
         sys.exit(130)
 
 
@@ -113,22 +138,23 @@ def load_function(place: str) -> Callable[..., Any]:
     if not file.is_file():
         raise McaaError(f"there is no file {path!r}; a scene is written file.py:function")
     try:
-        source = file.read_text(encoding="utf-8")
-        tree = ast.parse(source, filename=path)
-    except (OSError, SyntaxError, UnicodeDecodeError, ValueError) as error:
+        # as bytes, for the file may name its encoding
+        tree = ast.parse(file.read_bytes(), filename=path)
+    except (OSError, SyntaxError, ValueError) as error:
         raise McaaError(f"{path} cannot be read as Python: {error}") from error
     import importlib.util
 
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    assert spec is not None and spec.loader is not None
+    spec = importlib.util.spec_from_file_location("mcaa_scene", file)
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # as for a program: dataclasses look their module up, and f may import its neighbours when it is called
+    sys.modules[spec.name] = module
     sys.path.insert(0, str(file.parent.resolve()))
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise McaaError(f"{path} raised {type(error).__name__} when it was loaded: {error}") from error
-    finally:
-        sys.path.remove(str(file.parent.resolve()))
     if not hasattr(module, name):
         known = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
         raise McaaError(f"{path} has no {name!r}; it has {', '.join(known) if known else 'no functions'}")
@@ -167,7 +193,7 @@ def _estimator(name: str) -> Any:
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
+    if not (width.isdecimal() and height.isdecimal()):
         raise McaaError(f"a size is written WIDTHxHEIGHT, for instance 1920x1080, got {text!r}")
     return int(height), int(width)
 

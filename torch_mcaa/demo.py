@@ -26,11 +26,13 @@ def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None
     from torch_mcaa.errors import McaaError
     from torch_mcaa.scenes import gallery
 
+    scenes = gallery(size)
+    # refuses a wrong spp before anything is made
+    render(next(iter(scenes.values())), (1, 1), spp=spp)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise McaaError(f"the folder {folder} cannot be made: {error.strerror}; name another with --output") from error
-    scenes = gallery(size)
     for name in scenes:
         check_target(folder / f"{name}.png", force=force)
     table = Table("scene", "evaluations a pixel", "standard error", "seconds", title="rms standard error over the picture")
@@ -38,10 +40,16 @@ def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None
         picture = render(scene, size, spp=spp)
         write_picture(folder / f"{name}.png", image=side_by_side(picture), force=force)
         table.add_row(
-            name, f"{float(picture.spp.double().mean()):.1f}", f"{float(picture.stderr.square().mean().sqrt()):.1e}", f"{picture.seconds:.2f}"
+            name,
+            f"{float(picture.spp.double().mean()):.1f}",
+            f"{float(picture.stderr.square().mean().sqrt()):.1e}",
+            f"{picture.seconds:.2f}",
         )
     Console().print(table)
-    print(f"{len(scenes)} pictures in {folder.resolve()}: picture, standard error (white = the largest), evaluations a pixel (white = the most)")
+    print(
+        f"{len(scenes)} pictures in {folder.resolve()}: picture, standard error (white = the largest), "
+        "evaluations a pixel (white = the most)"
+    )
 
 
 def side_by_side(picture: Rendering) -> Tensor:

@@ -1,7 +1,7 @@
 """The screen: pixels, centres, cells, and the coordinates that f is given ((21)-(24) of Halton's paper).
 
-A place on the screen is an integer pixel and an offset in [0, 1), kept apart until the last moment, so that a pixel far from the origin is
-sampled as finely as the first one.
+A place on the screen is an integer pixel and an offset in [0, 1), kept apart until the last moment, so that a pixel far from the
+origin is sampled as finely as the first one.
 """
 
 from __future__ import annotations
@@ -52,16 +52,18 @@ class Screen:
             raise McaaError(f"size must be two integers (height, width), got {size!r}; write for instance size=(512, 512)")
         height, width = (int(s) for s in size)
         if height < 1 or width < 1:
-            raise McaaError(f"size must be at least one pixel each way, got {height} x {width}; ask for a positive height and width")
+            raise McaaError(f"size must be at least one pixel each way, got height {height}, width {width}; ask for positive ones")
         if extent is None:
             return cls(height, width, (0.0, float(width), 0.0, float(height)))
         try:
             x0, x1, y0, y1 = (float(e) for e in extent)  # pyright: ignore[reportGeneralTypeIssues]
         except (TypeError, ValueError) as error:
             raise McaaError(f"extent must be four numbers (x0, x1, y0, y1), got {extent!r}") from error
-        if not all(map(math.isfinite, (x0, x1, y0, y1))) or x0 == x1 or y0 == y1:
+        screen = cls(height, width, (x0, x1, y0, y1))
+        # x1 - x0 may overflow, and a pixel of it underflow
+        if not all(map(math.isfinite, (*screen.extent, *screen.pixel_size))) or 0 in screen.pixel_size:
             raise McaaError(f"extent must be finite with x0 != x1 and y0 != y1, got {(x0, x1, y0, y1)}")
-        return cls(height, width, (x0, x1, y0, y1))
+        return screen
 
     @property
     def pixel_size(self) -> tuple[float, float]:
@@ -92,9 +94,10 @@ class Screen:
         corner_x = self.x_of(torch.tensor([cell.col - cell.width, cell.col + 2.0 * cell.width], dtype=torch.float64))
         corner_y = self.y_of(torch.tensor([cell.row - cell.height, cell.row + 2.0 * cell.height], dtype=torch.float64))
         for corner, pixel in ((corner_x, self.pixel_size[0]), (corner_y, self.pixel_size[1])):
-            # the gap between floats is at most eps times the magnitude
-            gap = 2.0 ** math.floor(math.log2(max(float(corner.abs().max()), 1e-300))) * torch.finfo(dtype).eps
-            if gap > _FINEST_STEP * abs(pixel):
+            magnitude, floats = float(corner.abs().max()), torch.finfo(dtype)
+            # the gap between floats is at most eps times the magnitude; below `tiny` it shrinks no more
+            gap = 2.0 ** math.floor(math.log2(max(magnitude, floats.tiny))) * floats.eps
+            if gap > _FINEST_STEP * abs(pixel) or magnitude > floats.max:
                 return torch.float64
         return dtype
 

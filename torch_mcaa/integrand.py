@@ -14,9 +14,11 @@ from torch_mcaa.errors import McaaError
 Function = Callable[[Tensor, Tensor], Any]
 Nonfinite = Literal["raise", "ignore", "propagate"]
 
-# One call of f sees at most this many points: they stay in the cache, and PyTorch's grain of 2^15 elements cuts them at the same places
-# for every number of threads, so that the vectorised functions give the same last bits.
+# One call of f sees at most this many points: they stay in the cache, and PyTorch, whose grain is 2^15 elements, cuts them in two at most.
 BLOCK = 2**16
+# A call's points are a multiple of this, so that the two parts are whole vectors and no loop over points has a tail of scalars: in the
+# tail atan2, sigmoid and pow give other last bits, and where it lies would depend on the number of threads.
+_WHOLE = 256
 
 
 @dataclass
@@ -37,19 +39,26 @@ class Integrand:
     channels: int = field(default=0, init=False)
 
     def __call__(self, x: Tensor, y: Tensor) -> list[Tensor]:
-        """Evaluate f on two tensors of one shape.
+        """Evaluate f at the points of two tensors of one shape, or of shapes that broadcast to one; f gets them in one row.
 
         Raises:
             McaaError: f raised (chained, with the block's place); it returned another shape, dtype, device or number of channels than
                 it may; it returned NaN or an infinity under nonfinite="raise" (the first place is named).
         """
+        shape = torch.broadcast_shapes(x.shape, y.shape)
+        count = shape.numel()
+        if count > BLOCK and shape[0] > 1:
+            step = max(1, BLOCK * shape[0] // count)
+            parts = [self(a, b) for a, b in zip(x.expand(shape).split(step), y.expand(shape).split(step), strict=True)]
+            return [torch.cat(channel) for channel in zip(*parts, strict=True)]
+        x, y = _flat(x, shape), _flat(y, shape)
         self.evaluations += x.numel()
         try:
             returned = self.function(x, y)
         except Exception as error:
             place = f"x in [{float(x.min()):g}, {float(x.max()):g}], y in [{float(y.min()):g}, {float(y.max()):g}]"
-            raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {tuple(x.shape)} points with {place}") from error
-        values = [_checked(value, x, self.dtype) for value in _as_channels(returned, x)]
+            raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {len(x)} points with {place}") from error
+        values = [_checked(value, x, self.dtype)[:count].view(shape) for value in _as_channels(returned, x)]
         if self.channels not in (0, len(values)):
             raise McaaError(f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call")
         self.channels = len(values)
@@ -59,8 +68,8 @@ class Integrand:
                 if not bool(torch.isfinite(value.sum())) and not bool(torch.isfinite(value).all()):
                     first = int((~torch.isfinite(value)).reshape(-1).nonzero()[0])
                     raise McaaError(
-                        f"f returned {float(value.reshape(-1)[first])} at x = {float(x.reshape(-1)[first]):.9g}, "
-                        f"y = {float(y.reshape(-1)[first]):.9g} (channel {channel}); mend f, or pass nonfinite='ignore' or 'propagate'"
+                        f"f returned {float(value.reshape(-1)[first])} at x = {float(x[first]):.9g}, "
+                        f"y = {float(y[first]):.9g} (channel {channel}); mend f, or pass nonfinite='ignore' or 'propagate'"
                     )
         return values
 
@@ -89,6 +98,15 @@ def from_points(network: Callable[[Tensor], Tensor]) -> Function:
     return f
 
 
+def _flat(places: Tensor, shape: torch.Size) -> Tensor:
+    """The places in one row, the last one repeated up to a multiple of `_WHOLE`."""
+    count = shape.numel()
+    row = places.new_empty(-(-count // _WHOLE) * _WHOLE)
+    row[:count].view(shape).copy_(places)
+    row[count:] = row[count - 1]
+    return row
+
+
 def _as_channels(returned: object, x: Tensor) -> Sequence[object]:
     if isinstance(returned, Tensor):
         if returned.shape == x.shape:
@@ -110,7 +128,7 @@ def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
         raise McaaError(f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}")
     if value.is_complex():
         raise McaaError(f"f returned {value.dtype}; a colour is real: return the real part, the modulus, or both as channels")
-    return value.to(dtype)
+    return value.to(dtype).contiguous()
 
 
 def _describe(value: object) -> str:

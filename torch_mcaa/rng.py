@@ -36,8 +36,9 @@ def bits(seed: int, *keys: int | Tensor) -> Tensor:
 def uniform(seed: int, *keys: int | Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
     """Uniform numbers in [0, 1), never 1, of the keys' broadcast shape.
 
-    They are multiples of 2**-24 in float32 and of 2**-53 in float64: the float32 number is the float64 one of the same keys, cut to 24 bits.
-    Arguments and errors are those of `bits`; McaaError too for any other dtype.
+    They are multiples of 2**-24 in float32 and of 2**-53 in float64: the float32 number is the float64 one of
+    the same keys, cut to 24 bits. Arguments and errors are those of `bits`; McaaError too for any other
+    dtype.
     """
     if dtype not in (torch.float32, torch.float64):
         raise McaaError(f"dtype must be torch.float32 or torch.float64, received {dtype}: convert after")

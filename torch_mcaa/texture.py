@@ -77,7 +77,7 @@ class Texture:
                 or wrap; a transform that is not 3 x 3, real, finite and invertible; a size that is not two
                 positive integers; a transform and a size together.
         """
-        if interpolation not in _TAPS:
+        if interpolation not in get_args(Interpolation):
             raise McaaError(f"interpolation must be one of {', '.join(_TAPS)}; got {interpolation!r}")
         if wrap not in get_args(Wrap):
             raise McaaError(f"wrap must be one of {', '.join(get_args(Wrap))}; got {wrap!r}")

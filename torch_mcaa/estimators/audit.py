@@ -47,9 +47,8 @@ class Audit:
         """float64 screen columns and rows (strips, cols) of the audit points, each in the pixel of its sample."""
         strips = torch.arange(at.strip, at.strip + at.strips)[:, None]
         cols = torch.arange(at.col, at.col + at.cols)[None, :]
-        a, b = (
-            rng.uniform(self.task.seed, _AUDIT, self.number, strips, cols, axis, dtype=torch.float64) - 0.5 for axis in (0, 1)
-        )
+        drawn = rng.bits(self.task.seed, _AUDIT, self.number, strips, cols)
+        a, b = (drawn & 0xFFFF).to(torch.float64) / 65536 - 0.5, (drawn >> 16).to(torch.float64) / 65536 - 0.5
         basis, row = self.strip.basis, self.row()
         x = (self.strip.x[self.reference] + a * basis[0, 0] + b * basis[1, 0]).clamp(0, 1 - 2.0**-20)
         y = (self.strip.y[self.reference] + a * basis[0, 1] + b * basis[1, 1]).clamp(row, row + 1 - 2.0**-20)

@@ -14,14 +14,12 @@ from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns import Pattern, Sobol
 
-_POOLED_BELOW = 64
-
 
 @dataclass(frozen=True)
 class Importance(Estimator):
     """(6): (g, rho) = (w f / (w' n), w'), each pixel with its own points.
 
-    Unbiased. The standard error is the pattern's own; below 64 evaluations it is pooled over 3 x 3 pixels.
+    Unbiased. The standard error is the pattern's own; it is the larger of the pixel's and its 3 x 3 neighbours' mean.
 
     Attributes:
         pattern: where in the unit square the points lie.
@@ -77,8 +75,7 @@ class _ImportanceRound(Round):
             value, variance = value / norm, variance / norm.square()
         if bad is not None and task.integrand.nonfinite == "propagate":
             value = torch.where(invalid > 0, torch.nan, value)
-        if self.count < _POOLED_BELOW:
-            variance = box3(variance)
+        variance = torch.maximum(variance, box3(variance))
         points = torch.full_like(invalid, self.count)
         return Estimate(value, add_floor(variance, value, self.count), points, invalid)
 

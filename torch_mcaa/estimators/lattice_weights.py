@@ -17,7 +17,7 @@ from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import Strip
 
-_BLOCK_ROWS = 28
+_BLOCK_ROWS = 14
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,8 @@ class LatticeWeights:
             self.along_x = task.filter.profile(self.x_places)[None]
         else:
             self.along_x = torch.eye(len(taps), dtype=torch.float64)[:, :, None].expand(-1, -1, strip.count)
-        # the character sums are taken at every second pixel, so a block has an even number of rows
         self.block_strips = max(1, _BLOCK_ROWS // strip.period)
-        self.block_strips += self.block_strips * strip.period % 2
+
 
     def geometry(self, cell: Cell) -> Geometry:
         reach, period, screen = self.reach, self.strip.period, self.task.screen

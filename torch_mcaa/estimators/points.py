@@ -27,7 +27,7 @@ def evaluate_points(task: Task, cell: Cell, col: Tensor, row: Tensor) -> tuple[T
     step = max(1, BLOCK // x[0].numel())
     parts, invalid = [], []
     for start in range(0, len(x), step):
-        values = task.integrand(x[start : start + step].contiguous(), y[start : start + step].contiguous())
+        values = task.integrand(x[start : start + step], y[start : start + step])
         bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
         parts.append(torch.stack(values))
         invalid.append(torch.zeros_like(inside[start : start + step]) if bad is None else bad)

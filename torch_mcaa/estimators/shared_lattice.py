@@ -9,9 +9,8 @@ from torch_mcaa import rng
 from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Estimate, Round, Task, add_floor, box3
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
-from torch_mcaa.estimators.splat import Splat
+from torch_mcaa.estimators.splat import Splat, Sums
 from torch_mcaa.grid import Cell
-from torch_mcaa.integrand import BLOCK
 from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
 
 _SHIFT = 0x5F1F7
@@ -53,10 +52,13 @@ class LatticeRound(Round):
                 value = torch.where(kept > 1 - 1e-5, value, torch.nan)
             else:
                 value = torch.where(kept > 1e-3, value / kept, torch.nan)
+        else:
+            kept = None
         variance = torch.zeros_like(value)
         if power is not None and extra is not None:
-            spread = power.repeat_interleave(2, 1).repeat_interleave(2, 2)[:, : cell.height, : cell.width]
-            variance = box3(spread) / CHARACTER_RATIO + extra
+            variance = torch.maximum(power, box3(power)) / CHARACTER_RATIO + extra
+            if kept is not None:
+                variance = variance / kept.clamp_min(1e-3).square()
         if splat.norm is not None:
             value, variance = value / splat.norm, variance / splat.norm.square()
         if power is not None:
@@ -75,17 +77,16 @@ class LatticeRound(Round):
             key, moved = (cell.height, cell.width, cell.row, cell.col), False
         if key not in self._splats:
             self._splats.clear() if len(self._splats) > 8 else None
-            group = max(1, BLOCK // at.points)
-            self._splats[key] = Splat(self.weights, cell, at, group, self.audit is not None)
+            self._splats[key] = Splat(self.weights, cell, at, self.audit is not None)
         splat = self._splats[key]
         if moved:
-            splat.cell, splat.at = cell, at
+            splat.moved(cell, at)
         return splat
 
     def _sums(
         self, cell: Cell, at: Geometry, splat: Splat, masked: bool
     ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None]:
-        """Values (C, h, w), squared character sums (C, h / 2, w / 2), the audit's variance (C, h, w), and counts of samples not finite.
+        """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), and counts of samples not finite.
 
         Without `masked` the first sample that is not finite ends the work, and the counts are a tensor without content. With it such
         samples are 0 and a last channel holds the weight of the others.
@@ -94,14 +95,14 @@ class LatticeRound(Round):
         asked = task.screen.coordinate_dtype(cell, task.dtype)
         cols = torch.arange(at.col, at.col + at.cols, dtype=torch.float64)
         rows = torch.arange(at.strip, at.strip + at.strips, dtype=torch.float64) * strip.period
-        sums: list[tuple[Tensor, Tensor | None]] = []
+        sums: list[Sums] = []
         held: list[dict[int, Tensor]] = []
         counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masked else None
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
-            x = task.screen.x_of(col).to(task.device, asked).expand(shape).contiguous()
-            y = task.screen.y_of(self._on_screen(row)).to(task.device, asked).expand(shape).contiguous()
-            values = task.integrand(x, y)
+            x = task.screen.x_of(col).to(task.device, asked)
+            y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
+            values = task.integrand(x.expand(shape), y)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if masked:
                 kept = torch.ones(shape, dtype=task.dtype, device=task.device)
@@ -110,24 +111,28 @@ class LatticeRound(Round):
                 values = [*values, kept]
             return values, bad
 
-        for group in splat.groups:
-            x, y = torch.from_numpy(strip.x[group.planes]), torch.from_numpy(strip.y[group.planes])
-            shape = (at.strips, len(x), at.cols)
-            values, bad = evaluate(cols[None, :] + x[:, None], (rows[:, None] + y)[:, :, None], shape)
-            if bad is not None and counts is None:
-                return values[0], None, None, torch.empty(0)
-            if bad is not None and counts is not None:
-                places = (torch.arange(at.strips)[:, None] * strip.period + y.long()).flatten().to(task.device)
-                counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
-            for channel, value in enumerate(values):
-                if len(sums) <= channel:
-                    sums.append(splat.start())
-                    held.append({})
-                splat.add(sums[channel], group, value)
-                if self.audit is not None:
-                    for plane in self.audit.planes:
-                        if group.planes.start <= plane < group.planes.stop:
-                            held[channel][plane] = value[:, plane - group.planes.start].clone()
+        for batch in splat.batches:
+            for first in range(0, batch.count, splat.group):
+                planes = slice(batch.start + first, batch.start + min(first + splat.group, batch.count))
+                x, y = torch.from_numpy(strip.x[planes]), torch.from_numpy(strip.y[planes])
+                shape = (at.strips, len(x), at.cols)
+                values, bad = evaluate(cols[None, :] + x[:, None], (rows[:, None] + y)[:, :, None], shape)
+                if bad is not None and counts is None:
+                    return values[0], None, None, torch.empty(0)
+                if bad is not None and counts is not None:
+                    places = (torch.arange(at.strips)[:, None] * strip.period + y.long()).flatten().to(task.device)
+                    counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
+                for channel, value in enumerate(values):
+                    if len(sums) <= channel:
+                        sums.append(splat.start())
+                        held.append({})
+                    splat.weigh(sums[channel], batch, first, value)
+                    if self.audit is not None:
+                        for plane in self.audit.planes:
+                            if planes.start <= plane < planes.stop:
+                                held[channel][plane] = value[:, plane - planes.start].clone()
+            for channel in sums:
+                splat.add(channel, batch)
         extra = None
         if self.audit is not None:
             values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))

@@ -1,19 +1,27 @@
-"""The convolution of a lattice's sample planes with its fixed weights, group by group of planes."""
+"""The convolution of a lattice's sample planes with its fixed weights, batch by batch of planes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import BLOCK
+
+# planes are weighed along x in blocks of f's size, and summed along y once for so many blocks: fewer, longer products
+_BLOCKS_A_BATCH = 4
 
 
 @dataclass(frozen=True)
 class _Term:
-    """One product of the weights of a group of planes: taps along x (each (planes, 1)), a matrix along y, and both with signs."""
+    """One product of a batch's weights: taps along x, each (planes, 1), and a matrix along y; and the same with the characters' signs.
+
+    `matrix` (B, 2 R, depth x planes) has the rows of the value and those of the character that changes over strips only; `signed`
+    (B, 2 R, depth x planes) those of the two that change over columns, to be used with `signed_taps`.
+    """
 
     taps: list[Tensor]
     signed_taps: list[Tensor]
@@ -22,106 +30,122 @@ class _Term:
 
 
 @dataclass(frozen=True)
-class Group:
-    """A group of planes, the terms of its weights."""
+class Batch:
+    """Planes [start, start + count), evaluated in groups of at most `group`."""
 
-    planes: slice
+    start: int
+    count: int
     terms: list[_Term]
 
 
-class Splat:
-    """Weights of one shape of cell, placed in the picture's dtype; `start` gives the sums of one channel of one cell.
+@dataclass
+class Sums:
+    """The sums of one channel over a cell, by block: the value's rows and one character's, and the other two characters'."""
 
-    The value of a pixel and, at every second pixel, the three character sums D_j = sum of character_j times weight times sample. They
-    are the same sums over the four cosets of the lattice's double, in other signs, and see what changes between neighbouring samples.
+    plain: Tensor
+    signed: Tensor | None
+    buffers: list[tuple[Tensor, Tensor | None]] = field(default_factory=list)
+
+
+class Splat:
+    """The weights of one shape of cell, placed in the picture's dtype.
+
+    With `contrast` a cell's sums hold the three character sums D_j = sum of character_j times weight times
+    sample. They are the sums over the four cosets of the lattice's double, in other signs, and see what changes between neighbouring
+    samples.
     """
 
-    def __init__(self, weights: LatticeWeights, cell: Cell, at: Geometry, group: int, contrast: bool) -> None:
+    def __init__(self, weights: LatticeWeights, cell: Cell, at: Geometry, contrast: bool) -> None:
         strip, task = weights.strip, weights.task
-        self.cell, self.at, self.reach, self.contrast = cell, at, weights.reach, contrast
-        self.block_strips = weights.block_strips
-        banded, signs, norm = weights.along_y(cell, at)
+        self.cell, self.at, self.contrast = cell, at, contrast
+        self.reach, self.block_strips, self.rows = weights.reach, weights.block_strips, weights.block_strips * strip.period
+        self.group = max(1, BLOCK // at.points)
+        along_y, signs, norm = weights.along_y(cell, at)
 
         def place(tensor: Tensor) -> Tensor:
             return tensor.to(task.device, task.dtype).contiguous()
 
         self.norm = None if norm is None else place(norm)
         alternating = torch.tensor([1.0 - 2.0 * (k % 2) for k in range(-self.reach, self.reach + 1)], dtype=torch.float64)
-        self.groups: list[Group] = []
-        for start in range(0, strip.count, group):
-            planes = slice(start, min(start + group, strip.count))
+        size = _BLOCKS_A_BATCH * self.group
+        self.batches: list[Batch] = []
+        for start in range(0, strip.count, size):
+            planes = slice(start, min(start + size, strip.count))
             characters = torch.from_numpy(strip.characters[:, planes]).to(torch.float64)
-            sign = signs[:, None, None, :, None] * characters[:, None, None, None, :]
+            # (3, depth, planes)
+            sign = signs[:, :, None] * characters[:, None, :]
             terms = []
-            for along_x, along_y in zip(weights.along_x[:, :, planes, None], banded[..., planes], strict=True):
-                terms.append(
-                    _Term(
-                        list(place(along_x).unbind(0)),
-                        list(place(along_x * alternating[:, None, None]).unbind(0)),
-                        place(along_y.flatten(2)),
-                        place((along_y[None, :, ::2] * sign).flatten(3)) if contrast else None,
-                    )
-                )
-            self.groups.append(Group(planes, terms))
-        self._buffers: dict[tuple[int, int], Tensor] = {}
+            for taps, matrix in zip(weights.along_x[:, :, planes, None], along_y[..., planes], strict=True):
+                rows, signed = matrix.flatten(2), None
+                if contrast:
+                    rows = torch.cat([rows, (matrix * sign[0]).flatten(2)], 1)
+                    signed = place(torch.cat([(matrix * sign[1]).flatten(2), (matrix * sign[2]).flatten(2)], 1))
+                along = list(place(taps).unbind(0)), list(place(taps * alternating[:, None, None]).unbind(0))
+                terms.append(_Term(*along, place(rows), signed))
+            self.batches.append(Batch(start, planes.stop - start, terms))
 
-    def start(self) -> tuple[Tensor, Tensor | None]:
-        """Empty sums: (blocks, R, width), and (3, blocks, R / 2, width / 2)."""
-        matrix, blocks = self.groups[0].terms[0].matrix, self.at.blocks
-        rows = matrix.shape[1]
-        value = matrix.new_zeros(blocks, rows, self.cell.width)
-        return value, matrix.new_zeros(3, blocks, rows // 2, -(-self.cell.width // 2)) if self.contrast else None
+    def moved(self, cell: Cell, at: Geometry) -> None:
+        """Serve another cell of the same shape and phase."""
+        self.cell, self.at = cell, at
 
-    def add(self, sums: tuple[Tensor, Tensor | None], group: Group, samples: Tensor) -> None:
-        """Add a group's samples (strips, planes, cols) of one channel to its sums."""
-        value, characters = sums
-        for term in group.terms:
-            along = self._along_x(samples, term.taps, 1)
-            value.baddbmm_(self._for_blocks(term.matrix), self._by_block(along))
-            if characters is not None and term.signed is not None:
-                even = self._by_block(along[..., ::2].contiguous())
-                signed = self._by_block(self._along_x(samples, term.signed_taps, 2))
-                characters[0].baddbmm_(self._for_blocks(term.signed[0]), even)
-                characters[1].baddbmm_(self._for_blocks(term.signed[1]), signed)
-                characters[2].baddbmm_(self._for_blocks(term.signed[2]), signed)
+    def start(self) -> Sums:
+        """Empty sums for one channel."""
+        term, blocks, width = self.batches[0].terms[0], self.at.blocks, self.cell.width
+        new = term.matrix.new_zeros
+        sums = Sums(new(blocks, term.matrix.shape[1], width), None if term.signed is None else new(blocks, term.signed.shape[1], width))
+        strips = (blocks - 1) * self.block_strips + self.at.depth
+        for _ in self.batches[0].terms:
+            shape = (strips, self.batches[0].count, width)
+            sums.buffers.append((new(shape), new(shape) if self.contrast else None))
+        return sums
 
-    def finish(self, sums: tuple[Tensor, Tensor | None]) -> tuple[Tensor, Tensor | None]:
-        """The values (h, w), and the sum of the squared character sums (ceil(h / 2), ceil(w / 2))."""
-        value, characters = sums
-        power = None if characters is None else (characters * characters).sum(0).flatten(0, 1)[: -(-self.cell.height // 2)]
-        return value.flatten(0, 1)[: self.cell.height], power
+    def weigh(self, sums: Sums, batch: Batch, first: int, samples: Tensor) -> None:
+        """Weigh a group's samples (strips, planes, cols), planes [first, ...) of the batch, along x."""
+        planes = slice(first, first + samples.shape[1])
+        for term, (plain, signed) in zip(batch.terms, sums.buffers, strict=True):
+            self._along_x(samples, [tap[planes] for tap in term.taps], plain[:, planes])
+            if signed is not None:
+                self._along_x(samples, [tap[planes] for tap in term.signed_taps], signed[:, planes])
 
-    def _along_x(self, samples: Tensor, taps: list[Tensor], stride: int) -> Tensor:
-        """(all strips of the blocks, planes, columns / stride): the samples weighed along x, at every `stride`-th column."""
+    def add(self, sums: Sums, batch: Batch) -> None:
+        """Add a weighed batch to the sums along y."""
+        for term, (plain, signed) in zip(batch.terms, sums.buffers, strict=True):
+            sums.plain.baddbmm_(term.matrix.expand(self.at.blocks, -1, -1), self._by_block(plain, batch.count))
+            if signed is not None and term.signed is not None and sums.signed is not None:
+                sums.signed.baddbmm_(term.signed.expand(self.at.blocks, -1, -1), self._by_block(signed, batch.count))
+
+    def finish(self, sums: Sums) -> tuple[Tensor, Tensor | None]:
+        """The values (h, w), and the sums (h, w) of the three squared character sums."""
+        value = sums.plain[:, : self.rows].flatten(0, 1)[: self.cell.height]
+        if sums.signed is None:
+            return value, None
+        power = sums.plain[:, self.rows :].square()
+        for one in sums.signed.split(self.rows, 1):
+            power.addcmul_(one, one)
+        return value, power.flatten(0, 1)[: self.cell.height]
+
+    def _along_x(self, samples: Tensor, taps: list[Tensor], buffer: Tensor) -> None:
         cell, at = self.cell, self.at
-        width = -(-cell.width // stride)
-        all_strips = (at.blocks - 1) * self.block_strips + at.depth
-        key = (stride, samples.shape[1])
-        if key not in self._buffers:
-            self._buffers[key] = samples.new_zeros(all_strips, samples.shape[1], width)
-        buffer = self._buffers[key]
         out = buffer[at.lead : at.lead + at.strips]
-        first = True
+        empty = True
         for k, tap in zip(range(-self.reach, self.reach + 1), taps, strict=True):
             # columns c of the cell whose sample c + k exists
-            low = -(-max(0, at.col - cell.col - k) // stride)
-            high = -(-min(cell.width, at.col + at.cols - cell.col - k) // stride)
+            low, high = max(0, at.col - cell.col - k), min(cell.width, at.col + at.cols - cell.col - k)
             if low >= high:
                 continue
-            source = samples[..., cell.col + low * stride + k - at.col :: stride][..., : high - low]
-            if first and low == 0 and high == width:
+            source = samples[..., cell.col + low + k - at.col : cell.col + high + k - at.col]
+            if empty and high - low == cell.width:
                 torch.mul(source, tap, out=out)
             else:
-                if first:
+                if empty:
                     out.zero_()
                 out[..., low:high].addcmul_(source, tap)
-            first = False
-        return buffer
+            empty = False
 
-    def _for_blocks(self, matrix: Tensor) -> Tensor:
-        return matrix.expand(self.at.blocks, -1, -1)
-
-    def _by_block(self, along: Tensor) -> Tensor:
+    def _by_block(self, weighed: Tensor, planes: int) -> Tensor:
         """(blocks, depth x planes, columns): overlapping views of the strips of each block."""
-        _, planes, width = along.shape
-        return along.as_strided((self.at.blocks, self.at.depth * planes, width), (self.block_strips * planes * width, width, 1))
+        _, capacity, width = weighed.shape
+        if planes < capacity:
+            weighed, capacity = weighed[:, :planes].contiguous(), planes
+        strides = (self.block_strips * capacity * width, width, 1)
+        return weighed.as_strided((self.at.blocks, self.at.depth * capacity, width), strides)

@@ -37,7 +37,7 @@ class Pattern(ABC):
 
     @abstractmethod
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """The estimated variance (R, C) of the sum over dim 0 of `terms` (n, R, C), calibrated for the pattern.
+        """The estimated variance (R, C) of the sum over dim 0 of `terms` (n, R, C), as calibrated for the pattern.
 
         u, v: (n, R, C), the points that the terms came from, in the order of `points`. +inf for n = 1, where
         nothing can be known. 0 where all terms of a pixel are equal: a pixel alone cannot tell a flat f from
@@ -60,14 +60,10 @@ def check_points(pattern: Pattern, n: int, rows: Tensor, cols: Tensor, dtype: to
         raise McaaError(f"dtype must be torch.float32 or torch.float64, received {dtype}: convert after")
 
 
-def jitter(
-    stream: int, n: int, rows: Tensor, cols: Tensor, seed: int, round: int, dtype: torch.dtype
-) -> tuple[Tensor, Tensor]:
+def jitter(stream: int, n: int, rows: Tensor, cols: Tensor, seed: int, round: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """Two independent uniform numbers a point, each (n, R, C). `stream`: a key of the pattern's own."""
     index = torch.arange(n, device=rows.device)[:, None, None]
-    u, v = (
-        rng.uniform(seed, stream, axis, round, rows[:, None], cols, index, dtype=dtype) for axis in (0, 1)
-    )
+    u, v = (rng.uniform(seed, stream, axis, round, rows[:, None], cols, index, dtype=dtype) for axis in (0, 1))
     return u, v
 
 

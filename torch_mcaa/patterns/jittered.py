@@ -41,7 +41,15 @@ class Jittered(Pattern):
         return clamp_below_one(u), clamp_below_one(v)
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """`neighbour_variance`. MEASURED
+        """`neighbour_variance`: too large by half the squared differences of the cells' means.
+
+        Four times the true variance for a linear f. Measured with the box filter on 4,096 each of half-planes
+        and discs (edges), quadratics, blobs and tones (smooth): mean reported over true variance, and coverage
+        of the 95 % interval.
+
+            n       4          8          16         64         256
+            edges   1.5  .66   1.7  .82   2.0  .92   2.1  .98   2.1  .99
+            smooth  2.9  .95   2.8  .98   3.7  1.0   3.9  1.0   4.0  1.0
         """
         return neighbour_variance(terms)
 

@@ -38,10 +38,7 @@ class MultiJittered(Pattern):
         check_points(self, n, rows, cols, dtype)
         height, width = strata(n)
         row, column = (torch.arange(m, device=rows.device)[:, None, None] for m in (height, width))
-        u, v = (
-            jittered.unflatten(0, (height, width))
-            for jittered in jitter(_STREAM, n, rows, cols, seed, round, dtype)
-        )
+        u, v = (jittered.unflatten(0, (height, width)) for jittered in jitter(_STREAM, n, rows, cols, seed, round, dtype))
         fine_column, fine_row = (
             _ranks(rng.bits(seed, _STREAM, axis, round, rows[:, None], cols, cells)).to(dtype)
             for axis, cells in ((2, row), (3, column))
@@ -51,7 +48,16 @@ class MultiJittered(Pattern):
         return clamp_below_one(u.flatten(0, 1)), clamp_below_one(v.flatten(0, 1))
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """`neighbour_variance`. MEASURED
+        """`neighbour_variance`, far too large where f is smooth: up to 18 times on quadratics. It covers.
+
+        The 2 x 2 contrasts of `Sobol` are blind here to what the cells of a row have in common: with them
+        coverage on quadratics is .63 at n = 64 and .35 at 256. Measured with the box filter on 4,096 each of
+        half-planes and discs (edges), quadratics, blobs and tones (smooth): mean reported over true variance,
+        and coverage of the 95 % interval.
+
+            n       4          8          16         64         256
+            edges   2.6  .70   3.0  .85   3.7  .94   4.0  .99   4.0  1.0
+            smooth  6.1  .97   8.0  1.0   7.6  1.0   4.7  1.0   2.6  .99
         """
         return neighbour_variance(terms)
 

@@ -39,17 +39,20 @@ class Sobol(Pattern):
         check_points(self, n, rows, cols, dtype)
         index = torch.arange(n, dtype=torch.int32, device=rows.device)
         keys = (rng.bits(seed, _STREAM, axis, round, rows[:, None], cols).to(torch.int32) for axis in (0, 1))
-        u, v = (
-            _fraction(_scramble(words, key), dtype)
-            for words, key in zip((index, _second_axis(index)), keys, strict=True)
-        )
+        u, v = (_fraction(_scramble(words, key), dtype) for words, key in zip((index, _second_axis(index)), keys, strict=True))
         return u, v
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """The sum over the aligned blocks of 2**k points that n is made of: each is a net with one point a cell.
+        """The sum over the aligned blocks of 2**k points that n is made of, nets with one point a cell.
 
-        Blocks of 16 or more by `contrast_variance`; of 4 or 8 by `neighbour_variance`, since an edge that splits few
-        cells evenly has no contrast; of 1 or 2 by their share of the plain spread of all terms. MEASURED
+        Blocks of 16 or more by `contrast_variance`; of 4 or 8 by `neighbour_variance`, since an edge that
+        splits few cells evenly has no contrast; of 1 or 2 by their share of the plain spread of all terms.
+        Measured with the box filter on 4,096 each of half-planes and discs (edges), quadratics, blobs and
+        tones (smooth): mean reported over true variance, and coverage of the 95 % interval.
+
+            n       8          16         20         63          64          256
+            edges   2.8  .84   2.1  .90   2.4  .93   4.1  .99    2.1  .97    2.2  .99
+            smooth  9.4  .99   7.2  1.0   7.0  1.0   17   1.0    16   1.0    47   1.0
         """
         n = terms.shape[0]
         if n < 4:

@@ -1,0 +1,102 @@
+"""Strip lattices: their geometry, their characters, their dual, and the table against its search."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from torch_mcaa.patterns import Lattice
+from torch_mcaa.patterns.lattice_search import badness, best_generator, dual_vectors, reduced_basis, search, tabulated
+from torch_mcaa.patterns.lattice_table import STRIPS
+
+
+def test_the_table_is_what_the_search_finds():
+    assert sorted(STRIPS) == tabulated()
+    for spp in (1, 3, 8, 16, 31):
+        assert STRIPS[spp] == search(spp)
+
+
+@pytest.mark.parametrize("spp", sorted(STRIPS))
+def test_a_strip_leaves_a_point_for_the_audit_and_is_odd(spp: int):
+    period, count, _ = STRIPS[spp]
+    assert count % 2 == 1
+    assert spp * period - 2 <= count < spp * period
+
+
+@pytest.mark.parametrize("spp", [2, 5, 16, 64])
+def test_dual_vectors_are_constant_on_the_points(spp: int):
+    strip = Lattice().strip(spp, 0, True, (0.3, 0.8))
+    dual = dual_vectors(*(STRIPS[spp][i] for i in (1, 2, 0)))
+    phase = dual[:, :1] * (strip.x - strip.x[0]) + dual[:, 1:] * (strip.y - strip.y[0])
+    np.testing.assert_allclose(phase, phase.round(), atol=1e-9)
+
+
+@pytest.mark.parametrize("spp", [4, 16, 64])
+def test_short_dual_vectors_are_long(spp: int):
+    # the longest that any lattice of this density can have is that of the hexagonal one
+    period, count, generator = STRIPS[spp]
+    shortest = np.hypot(*dual_vectors(count, generator, period).T).min()
+    assert shortest > 0.85 * math.sqrt(2 / math.sqrt(3) * count / period)
+
+
+@pytest.mark.parametrize(("spp", "replicate", "audited"), [(16, 0, True), (16, 1, True), (8, 0, False), (8, 3, False), (5, 2, False)])
+def test_the_basis_spans_the_lattice(spp: int, replicate: int, audited: bool):
+    strip = Lattice().strip(spp, replicate, audited, (0.61, 0.17))
+    assert abs(np.linalg.det(strip.basis)) == pytest.approx(strip.period / strip.count, rel=1e-12)
+    places = np.stack([strip.x - strip.x[0], strip.y - strip.y[0]], -1) @ np.linalg.inv(strip.basis)
+    np.testing.assert_allclose(places, places.round(), atol=1e-8)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.37, 0.91), (0.999, 0.5)])
+@pytest.mark.parametrize("spp", [3, 16])
+def test_characters_are_those_of_the_lattice_modulo_its_double(spp: int, shift: tuple[float, float]):
+    """Two points, in any column and strip, have the same three signs exactly when they differ by twice a lattice vector."""
+    strip = Lattice().strip(spp, 0, True, shift)
+    points, signs = [], []
+    for column in range(3):
+        for row in range(3):
+            points.append(np.stack([strip.x + column, strip.y + row * strip.period], -1))
+            change = np.array([(-1) ** (a * column + b * row) for a, b in strip.parities])
+            signs.append(strip.characters * change[:, None])
+    place, sign = np.concatenate(points), np.concatenate(signs, 1)
+    steps = ((place - place[0]) @ np.linalg.inv(strip.basis)).round().astype(int) % 2
+    same_coset = (steps == 0).all(1)
+    same_signs = (sign == sign[:, :1]).all(0)
+    np.testing.assert_array_equal(same_signs, same_coset)
+    # a quarter of the points are in each coset of 2 L
+    assert same_coset.mean() == pytest.approx(0.25, abs=4 / len(place))
+
+
+def test_replicates_have_other_generators():
+    """No short dual vector of one replicate is on the dual of another, so no tone is constant on all of them."""
+    strips = [Lattice().strip(8, r, False, (0.0, 0.0)) for r in range(4)]
+    duals = []
+    for strip in strips:
+        basis = np.linalg.inv(strip.basis).T
+        steps = np.stack(np.meshgrid(range(-3, 4), range(-3, 4)), -1).reshape(-1, 2)
+        vectors = steps[(steps != 0).any(1)] @ basis
+        duals.append({tuple(v) for v in vectors.round(6) if np.hypot(*v) < 5})
+    assert not set.intersection(*duals)
+
+
+def test_reduced_basis_is_shortest():
+    generator = np.random.default_rng(1)
+    for _ in range(20):
+        a, b = generator.normal(size=(2, 2))
+        short, second = reduced_basis(a, b)
+        steps = np.stack(np.meshgrid(range(-6, 7), range(-6, 7)), -1).reshape(-1, 2)
+        lengths = np.sort(np.hypot(*(steps[(steps != 0).any(1)] @ np.stack([short, second])).T))
+        assert np.hypot(*short) == pytest.approx(lengths[0])
+        assert abs(short @ second) <= short @ short / 2 + 1e-12
+
+
+def test_best_generator_is_the_least_bad():
+    score, generator = best_generator(47, 3)
+    assert score == min(badness(47, g, 3) for g in range(1, 47))
+    assert badness(47, generator, 3) == score
+
+
+def test_count_is_odd():
+    assert [Lattice().count(n) for n in (1, 2, 3, 16, 17)] == [1, 1, 3, 15, 17]
