@@ -253,6 +253,11 @@ def test_sobol_elementary_intervals(power: int, dtype: torch.dtype) -> None:
             assert torch.equal(cell.sort(dim=0).values, torch.arange(n)[:, None, None].expand_as(cell))
 
 
+def test_sobol_float64_points_are_middles() -> None:
+    for coordinate in points(Sobol(), 16):
+        assert (coordinate * 2**33 % 2 == 1).all()
+
+
 def plain_sobol(power: int) -> tuple[Tensor, Tensor]:
     """The unscrambled words of the first 2**power points: van der Corput, and Pascal's triangle modulo 2."""
     digits = torch.arange(1 << power)[:, None] >> torch.arange(power) & 1
@@ -412,6 +417,14 @@ def test_sobol_variance_adds_up_aligned_blocks() -> None:
     parts = [Sobol().variance(terms[s], u[s], v[s]) for s in (slice(0, 16), slice(16, 20))]
     expected = sum(parts) + independent_variance(terms) * 3 / 23
     torch.testing.assert_close(Sobol().variance(terms, u, v), expected)
+
+
+@pytest.mark.parametrize("n", [4, 5, 8, 12])
+def test_sobol_variance_sees_an_edge_that_splits_few_cells_evenly(n: int) -> None:
+    """Its 2 x 2 contrasts are all zero, and an edge a little off the middle would have no error bar."""
+    u, v = points(Sobol(), n)
+    for coordinate in (u, v):
+        assert (Sobol().variance((coordinate < 0.5).double() / n, u, v) > 0).all()
 
 
 def test_sobol_variance_shows_points_that_are_not_its_own() -> None:

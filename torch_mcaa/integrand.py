@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -39,17 +40,16 @@ class Integrand:
     channels: int = field(default=0, init=False)
 
     def __call__(self, x: Tensor, y: Tensor) -> list[Tensor]:
-        """Evaluate f at the points of two tensors of one shape, or of shapes that broadcast to one; f gets them in one row.
+        """Evaluate f at the points x, and y of a shape that expands to x's; f gets them in one row.
 
         Raises:
             McaaError: f raised (chained, with the block's place); it returned another shape, dtype, device or number of channels than
                 it may; it returned NaN or an infinity under nonfinite="raise" (the first place is named).
         """
-        shape = torch.broadcast_shapes(x.shape, y.shape)
-        count = shape.numel()
+        shape, count = x.shape, x.numel()
         if count > BLOCK and shape[0] > 1:
             step = max(1, BLOCK * shape[0] // count)
-            parts = [self(a, b) for a, b in zip(x.expand(shape).split(step), y.expand(shape).split(step), strict=True)]
+            parts = [self(a, b) for a, b in zip(x.split(step), y.expand(shape).split(step), strict=True)]
             return [torch.cat(channel) for channel in zip(*parts, strict=True)]
         x, y = _flat(x, shape), _flat(y, shape)
         self.evaluations += x.numel()
@@ -65,7 +65,7 @@ class Integrand:
         if self.nonfinite == "raise":
             for channel, value in enumerate(values):
                 # the sum is a cheap test that may cry wolf, on overflow
-                if not bool(torch.isfinite(value.sum())) and not bool(torch.isfinite(value).all()):
+                if not math.isfinite(value.sum().item()) and not bool(torch.isfinite(value).all()):
                     first = int((~torch.isfinite(value)).reshape(-1).nonzero()[0])
                     raise McaaError(
                         f"f returned {float(value.reshape(-1)[first])} at x = {float(x[first]):.9g}, "
@@ -76,7 +76,7 @@ class Integrand:
     @staticmethod
     def invalid(values: Sequence[Tensor]) -> Tensor | None:
         """Where any channel is not finite, a bool tensor; None where all is well."""
-        if all(bool(torch.isfinite(value.sum())) for value in values):
+        if all(math.isfinite(value.sum().item()) for value in values):
             return None
         mask = ~torch.isfinite(torch.stack(list(values))).all(0)
         return mask if bool(mask.any()) else None
@@ -103,7 +103,8 @@ def _flat(places: Tensor, shape: torch.Size) -> Tensor:
     count = shape.numel()
     row = places.new_empty(-(-count // _WHOLE) * _WHOLE)
     row[:count].view(shape).copy_(places)
-    row[count:] = row[count - 1]
+    if len(row) > count:
+        row[count:].copy_(row[count - 1 : count])
     return row
 
 

@@ -73,7 +73,8 @@ def render(
 
     Args:
         f: two tensors of one shape (x right, y down; pixel (i, j) covers [j, j + 1] x [i, i + 1]) to a tensor of that shape, a tuple of C
-            such tensors (one a channel), or a (C, *shape) tensor. A `Texture` covers the screen once.
+            such tensors (one a channel), or a (C, *shape) tensor. A `Texture` covers the screen once, unless `extent`
+            says where in it the screen lies, in texels.
         size: (height, width) in pixels.
         filter: w, by default Gaussian(0.5).
         estimator: by default Auto().
@@ -97,7 +98,7 @@ def render(
     start = time.perf_counter()
     chosen = Auto() if estimator is None else estimator
     screen = Screen.of(size, extent)
-    task = _task(f, screen, Gaussian(0.5) if filter is None else filter, boundary, nonfinite, seed, dtype, device)
+    task = _task(f, screen, Gaussian(0.5) if filter is None else filter, boundary, nonfinite, seed, dtype, device, extent is None)
     if not isinstance(chosen, Estimator):
         raise McaaError(f"estimator must be an estimator such as Auto() or Shared(), got {chosen!r}")
     if isinstance(spp, bool) or not isinstance(spp, int) or spp < 1:
@@ -134,7 +135,7 @@ def render(
 
 
 def _task(
-    f: Function, screen: Screen, filter: Filter, boundary: str, nonfinite: str, seed: int, dtype: torch.dtype, device: object
+    f: Function, screen: Screen, filter: Filter, boundary: str, nonfinite: str, seed: int, dtype: torch.dtype, device: object, placed_once: bool = True
 ) -> Task:
     if not callable(f):
         raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}; wrap an image in Texture(image)")
@@ -157,7 +158,9 @@ def _task(
         placed = torch.empty(0, device="cpu" if device is None else device).device  # pyright: ignore[reportArgumentType]
     except (RuntimeError, TypeError, AssertionError) as error:
         raise McaaError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}; pass device='cpu' or one that is there") from error
-    bound = f.on((screen.height, screen.width)) if hasattr(f, "on") else f  # pyright: ignore[reportFunctionMemberAccess]
+    bound = f
+    if placed_once and hasattr(f, "on"):
+        bound = f.on((screen.height, screen.width))  # pyright: ignore[reportFunctionMemberAccess]
     return Task(screen, Integrand(bound, dtype, nonfinite), filter, boundary, seed, dtype, placed)
 
 

@@ -112,7 +112,7 @@ class LatticeRound(Round):
             return values, bad
 
         for batch in splat.batches:
-            for first in range(0, batch.count, splat.group):
+            for group, first in enumerate(range(0, batch.count, splat.group)):
                 planes = slice(batch.start + first, batch.start + min(first + splat.group, batch.count))
                 x, y = torch.from_numpy(strip.x[planes]), torch.from_numpy(strip.y[planes])
                 shape = (at.strips, len(x), at.cols)
@@ -126,7 +126,7 @@ class LatticeRound(Round):
                     if len(sums) <= channel:
                         sums.append(splat.start())
                         held.append({})
-                    splat.weigh(sums[channel], batch, first, value)
+                    splat.weigh(sums[channel], batch, group, value)
                     if self.audit is not None:
                         for plane in self.audit.planes:
                             if planes.start <= plane < planes.stop:

@@ -17,14 +17,13 @@ _BLOCKS_A_BATCH = 4
 
 @dataclass(frozen=True)
 class _Term:
-    """One product of a batch's weights: taps along x, each (planes, 1), and a matrix along y; and the same with the characters' signs.
+    """One product of a batch's weights: taps along x, each (planes, 1), by group of planes, and matrices along y.
 
     `matrix` (B, 2 R, depth x planes) has the rows of the value and those of the character that changes over strips only; `signed`
-    (B, 2 R, depth x planes) those of the two that change over columns, to be used with `signed_taps`.
+    (B, 2 R, depth x planes) those of the two that change over columns, for samples weighed with every second tap negative.
     """
 
-    taps: list[Tensor]
-    signed_taps: list[Tensor]
+    taps: list[list[Tensor]]
     matrix: Tensor
     signed: Tensor | None
 
@@ -66,7 +65,6 @@ class Splat:
             return tensor.to(task.device, task.dtype).contiguous()
 
         self.norm = None if norm is None else place(norm)
-        alternating = torch.tensor([1.0 - 2.0 * (k % 2) for k in range(-self.reach, self.reach + 1)], dtype=torch.float64)
         size = _BLOCKS_A_BATCH * self.group
         self.batches: list[Batch] = []
         for start in range(0, strip.count, size):
@@ -80,8 +78,8 @@ class Splat:
                 if contrast:
                     rows = torch.cat([rows, (matrix * sign[0]).flatten(2)], 1)
                     signed = place(torch.cat([(matrix * sign[1]).flatten(2), (matrix * sign[2]).flatten(2)], 1))
-                along = list(place(taps).unbind(0)), list(place(taps * alternating[:, None, None]).unbind(0))
-                terms.append(_Term(*along, place(rows), signed))
+                by_group = [list(part.unbind(0)) for part in place(taps).split(self.group, 1)]
+                terms.append(_Term(by_group, place(rows), signed))
             self.batches.append(Batch(start, planes.stop - start, terms))
 
     def moved(self, cell: Cell, at: Geometry) -> None:
@@ -99,13 +97,20 @@ class Splat:
             sums.buffers.append((new(shape), new(shape) if self.contrast else None))
         return sums
 
-    def weigh(self, sums: Sums, batch: Batch, first: int, samples: Tensor) -> None:
-        """Weigh a group's samples (strips, planes, cols), planes [first, ...) of the batch, along x."""
-        planes = slice(first, first + samples.shape[1])
+    def weigh(self, sums: Sums, batch: Batch, group: int, samples: Tensor) -> None:
+        """Weigh the samples (strips, planes, cols) of a batch's group along x."""
+        planes = slice(group * self.group, group * self.group + samples.shape[1])
         for term, (plain, signed) in zip(batch.terms, sums.buffers, strict=True):
-            self._along_x(samples, [tap[planes] for tap in term.taps], plain[:, planes])
-            if signed is not None:
-                self._along_x(samples, [tap[planes] for tap in term.signed_taps], signed[:, planes])
+            taps, out = term.taps[group], plain[self.at.lead : self.at.lead + self.at.strips, planes]
+            if signed is None:
+                self._along_x(samples, taps, range(-self.reach, self.reach + 1), out)
+                continue
+            # the sums over even and odd k give both the plain and the signed ones
+            self._along_x(samples, taps, range(-self.reach + self.reach % 2, self.reach + 1, 2), out)
+            odd = torch.empty_like(out)
+            self._along_x(samples, taps, range(-self.reach + 1 - self.reach % 2, self.reach + 1, 2), odd)
+            torch.sub(out, odd, out=signed[self.at.lead : self.at.lead + self.at.strips, planes])
+            out.add_(odd)
 
     def add(self, sums: Sums, batch: Batch) -> None:
         """Add a weighed batch to the sums along y."""
@@ -124,16 +129,17 @@ class Splat:
             power.addcmul_(one, one)
         return value, power.flatten(0, 1)[: self.cell.height]
 
-    def _along_x(self, samples: Tensor, taps: list[Tensor], buffer: Tensor) -> None:
+    def _along_x(self, samples: Tensor, taps: list[Tensor], offsets: range, out: Tensor) -> None:
+        """out (strips, planes, width) = the sum over the offsets k of the samples k columns on, times taps[k + reach]."""
         cell, at = self.cell, self.at
-        out = buffer[at.lead : at.lead + at.strips]
         empty = True
-        for k, tap in zip(range(-self.reach, self.reach + 1), taps, strict=True):
+        for k in offsets:
             # columns c of the cell whose sample c + k exists
             low, high = max(0, at.col - cell.col - k), min(cell.width, at.col + at.cols - cell.col - k)
             if low >= high:
                 continue
-            source = samples[..., cell.col + low + k - at.col : cell.col + high + k - at.col]
+            first = cell.col + low + k - at.col
+            source, tap = samples.narrow(2, first, high - low), taps[k + self.reach]
             if empty and high - low == cell.width:
                 torch.mul(source, tap, out=out)
             else:
@@ -141,6 +147,8 @@ class Splat:
                     out.zero_()
                 out[..., low:high].addcmul_(source, tap)
             empty = False
+        if empty:
+            out.zero_()
 
     def _by_block(self, weighed: Tensor, planes: int) -> Tensor:
         """(blocks, depth x planes, columns): overlapping views of the strips of each block."""

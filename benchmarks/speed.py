@@ -1,0 +1,90 @@
+"""Time and memory of the shared lattice against the expert's way, ratios in one run.
+
+`python benchmarks/speed.py` prints the table of the README; `--large` adds 8192 x 8192 pixels in three channels (some 4 GiB and minutes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+import torch_mcaa as mcaa
+
+SCENES: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "disc": lambda x, y: (torch.hypot(x - 256, y - 256) < 200).float(),
+    "zone plate": lambda x, y: 0.5 + 0.5 * torch.cos((x * x + y * y) * 0.003),
+}
+
+
+def expert(f: Callable[[Tensor, Tensor], Tensor], size: int, k: int, std: float = 0.5, reach: int = 2) -> Tensor:
+    """A k x k grid in every pixel and two separable strided convolutions with a Gaussian of 5 standard deviations."""
+    places = (torch.arange((size + 2 * reach + 1) * k - k) + 0.5) / k - reach
+    values = f(places[None, :].expand(len(places), -1), places[:, None].expand(-1, len(places)))[None, None]
+    d = (torch.arange((2 * reach + 1) * k) + 0.5) / k - reach - 0.5
+    weight = torch.exp(-0.5 * (d / std) ** 2)
+    weight = weight / weight.sum()
+    along = torch.nn.functional.conv2d(values, weight.view(1, 1, 1, -1), stride=(1, k))
+    return torch.nn.functional.conv2d(along, weight.view(1, 1, -1, 1), stride=(k, 1))
+
+
+def compare(name: str, k: int, size: int, pairs: int) -> None:
+    f, spp = SCENES[name], k * k
+    ratios, times = [], []
+    for pair in range(pairs + 1):
+        begin = time.perf_counter()
+        expert(f, size, k)
+        middle = time.perf_counter()
+        mcaa.render(f, (size, size), spp=spp)
+        end = time.perf_counter()
+        if pair:
+            ratios.append((end - middle) / (middle - begin))
+            times.append((end - middle, middle - begin))
+    ours, theirs = (statistics.median(t) * 1e3 for t in zip(*times, strict=True))
+    print(
+        f"| {name} {size}², {spp} | {theirs:.0f} ms | {ours:.0f} ms | {statistics.median(ratios):.2f} ({min(ratios):.2f}-{max(ratios):.2f}) |",
+        flush=True,
+    )
+
+
+LARGE = """
+import resource, sys, time, torch, torch_mcaa as mcaa
+size = int(sys.argv[1])
+def f(x, y):
+    return torch.sin(x * 0.01), (torch.hypot(x - 300, y - 300) < 200).float(), torch.cos(y * 0.02)
+mcaa.render(f, (64, 64))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+begin = time.perf_counter()
+picture = mcaa.render(f, (size, size))
+seconds = time.perf_counter() - begin
+results = sum(t.numel() * t.element_size() for t in (picture.image, picture.stderr, picture.spp, picture.invalid, picture.model))
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+print(f"| {size}² x 3 | {seconds:.1f} s | {seconds / size**2 * 1e9:.0f} | {results / 2**20:.0f} | {peak / 1024 - results / 2**20:.0f} |")
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pairs", type=int, default=9)
+    parser.add_argument("--large", action="store_true")
+    arguments = parser.parse_args()
+    print(f"torch {torch.__version__}, {torch.get_num_threads()} threads\n")
+    print("| scene, evaluations a pixel | grid + two strided convolutions | torch_mcaa, with the standard error | ratio: median (range) |")
+    print("|---|---|---|---|")
+    for k in (4, 8):
+        for name in SCENES:
+            compare(name, k, 512, arguments.pairs)
+    print("\n| size | time | ns a pixel | results, MiB | peak above the results, MiB |\n|---|---|---|---|---|")
+    for size in (512, 2048, *((8192,) if arguments.large else ())):
+        run = subprocess.run([sys.executable, "-c", LARGE, str(size)], capture_output=True, text=True, check=True)
+        print(run.stdout.strip(), flush=True)
+
+
+if __name__ == "__main__":
+    main()
