@@ -32,7 +32,10 @@ def main() -> None:
                 scores = [score(family, methods[spp], arguments.seeds) for family in FAMILIES]
                 print(f"| {name} | " + " | ".join(f"{s.rmse:.1e}" for s in scores) + " |", flush=True)
                 if not name.startswith("grid"):
-                    print("| reported / true, coverage | " + " | ".join(f"{s.ratio:.2f} {s.coverage:.2f}" for s in scores) + " |", flush=True)
+                    print(
+                        "| reported / true, coverage | " + " | ".join(f"{s.ratio:.2f} {s.coverage:.2f}" for s in scores) + " |",
+                        flush=True,
+                    )
 
 
 if __name__ == "__main__":

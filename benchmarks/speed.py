@@ -75,7 +75,9 @@ def main() -> None:
     parser.add_argument("--large", action="store_true")
     arguments = parser.parse_args()
     print(f"torch {torch.__version__}, {torch.get_num_threads()} threads\n")
-    print("| scene, evaluations a pixel | grid + two strided convolutions | torch_mcaa, with the standard error | ratio: median (range) |")
+    print(
+        "| scene, evaluations a pixel | grid + two strided convolutions | torch_mcaa, with the standard error | ratio: median (range) |"
+    )
     print("|---|---|---|---|")
     for k in (4, 8):
         for name in SCENES:

@@ -11,5 +11,6 @@ def f(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
 
 picture = mcaa.render(f, (256, 256), tolerance=2e-2, spp=64)
 low, high = picture.interval(0.95)
-print(f"stopped by {picture.stopped} at {float(picture.spp.double().mean()):.1f} evaluations a pixel ({int(picture.spp.min())} to {int(picture.spp.max())})")
+mean, least, most = float(picture.spp.double().mean()), int(picture.spp.min()), int(picture.spp.max())
+print(f"stopped by {picture.stopped} at {mean:.1f} evaluations a pixel ({least} to {most})")
 print(f"widest 95 % interval {float((high - low).max()):.3f}")

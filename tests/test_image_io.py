@@ -49,14 +49,10 @@ def chunk(tag: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + tag + body + struct.pack(">I", zlib.crc32(tag + body))
 
 
-def png_bytes(
-    codes: np.ndarray[Any, Any], *, before: bytes = b"", size: tuple[int, int] | None = None
-) -> bytes:
+def png_bytes(codes: np.ndarray[Any, Any], *, before: bytes = b"", size: tuple[int, int] | None = None) -> bytes:
     """(H, W, C) uint8 or uint16 as an unfiltered PNG, by the standard; `size` (W, H) overrides the header."""
     height, width, channels = codes.shape
-    rows = (
-        np.ascontiguousarray(codes.astype(codes.dtype.newbyteorder(">"))).view(np.uint8).reshape(height, -1)
-    )
+    rows = np.ascontiguousarray(codes.astype(codes.dtype.newbyteorder(">"))).view(np.uint8).reshape(height, -1)
     head = struct.pack(">II", *(size or (width, height)))
     head += bytes([8 * codes.dtype.itemsize, {1: 0, 2: 4, 3: 2, 4: 6}[channels], 0, 0, 0])
     data = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows))
@@ -164,9 +160,7 @@ def test_png_against_the_formula(tmp_path: Path, channels: int, bits: int) -> No
 
 
 def test_16_bits_are_read_by_others_as_16_bits(tmp_path: Path) -> None:
-    cv2 = pytest.importorskip(
-        "cv2", reason="OpenCV is not installed; the decoder in this file has judged already"
-    )
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed; the decoder in this file has judged already")
     write_picture(tmp_path / "a.png", image=picture(3), bits=16)
     theirs = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
     np.testing.assert_array_equal(theirs, png_codes(tmp_path / "a.png"))
@@ -353,9 +347,7 @@ def test_layers_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("old", [None, b"what lay there"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_failed_rename_changes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, old: bytes | None
-) -> None:
+def test_failed_rename_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, old: bytes | None) -> None:
     need(kind)
     path = tmp_path / f"a{kind}"
     if old:
@@ -372,12 +364,8 @@ def test_failed_rename_changes_nothing(
     assert [item.read_bytes() for item in tmp_path.iterdir()] == ([old] if old else [])
 
 
-@pytest.mark.parametrize(
-    "failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), ZeroDivisionError()]
-)
-def test_failed_encoder_changes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException
-) -> None:
+@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt(), ZeroDivisionError()])
+def test_failed_encoder_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException) -> None:
     path = tmp_path / "a.npy"
     path.write_bytes(b"what lay there")
 
@@ -634,11 +622,7 @@ def huge(kind: str, path: Path) -> bytes:
     if kind in (".png", ".png16"):
         return png_bytes(np.zeros((1, 1, 3), np.uint8 if kind == ".png" else np.uint16), size=(n, n))
     if kind == ".bmp":
-        return (
-            b"BM"
-            + struct.pack("<IHHI", 54, 0, 0, 54)
-            + struct.pack("<IiiHHIIiiII", 40, n, n, 1, 24, *[0] * 6)
-        )
+        return b"BM" + struct.pack("<IHHI", 54, 0, 0, 54) + struct.pack("<IiiHHIIiiII", 40, n, n, 1, 24, *[0] * 6)
     if kind == ".ppm":
         return b"P6 200000 200000 255\n"
     if kind == ".gif":
@@ -646,9 +630,7 @@ def huge(kind: str, path: Path) -> bytes:
         return b"GIF89a" + struct.pack("<2H3B", 65535, 65535, 0, 0, 0) + b"," + frame + b";"
     if kind in (".npy", ".npz"):
         array = io.BytesIO()
-        np.lib.format.write_array_header_1_0(
-            array, {"descr": "<f8", "fortran_order": False, "shape": (n, n, 3)}
-        )
+        np.lib.format.write_array_header_1_0(array, {"descr": "<f8", "fortran_order": False, "shape": (n, n, 3)})
         if kind == ".npy":
             return array.getvalue()
         outer = io.BytesIO()
@@ -674,9 +656,7 @@ def test_huge_headers_are_refused_before_decoding(tmp_path: Path, kind: str) -> 
     path = tmp_path / f"a{kind.removesuffix('16')}"
     path.write_bytes(huge(kind, path))
     # There are no pixels behind these headers: decoding would give another message, or no memory.
-    with pytest.raises(
-        McaaError, match=r"(200000 x 200000|65535 x 65535) pixels .* exceed max_pixels = 268435456"
-    ):
+    with pytest.raises(McaaError, match=r"(200000 x 200000|65535 x 65535) pixels .* exceed max_pixels = 268435456"):
         read_image(path)
 
 

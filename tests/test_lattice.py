@@ -41,7 +41,9 @@ def test_short_dual_vectors_are_long(spp: int):
     assert shortest > 0.85 * math.sqrt(2 / math.sqrt(3) * count / period)
 
 
-@pytest.mark.parametrize(("spp", "replicate", "audited"), [(16, 0, True), (16, 1, True), (8, 0, False), (8, 3, False), (5, 2, False)])
+@pytest.mark.parametrize(
+    ("spp", "replicate", "audited"), [(16, 0, True), (16, 1, True), (8, 0, False), (8, 3, False), (5, 2, False)]
+)
 def test_the_basis_spans_the_lattice(spp: int, replicate: int, audited: bool):
     strip = Lattice().strip(spp, replicate, audited, (0.61, 0.17))
     assert abs(np.linalg.det(strip.basis)) == pytest.approx(strip.period / strip.count, rel=1e-12)

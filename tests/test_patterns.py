@@ -18,13 +18,13 @@ from scipy import stats
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError
-from torch_mcaa.patterns import Independent, Jittered, MultiJittered, Pattern, Sobol
+from torch_mcaa.patterns import Independent, Jittered, Lattice, MultiJittered, Pattern, Sobol
 from torch_mcaa.patterns.base import clamp_below_one, independent_variance
 from torch_mcaa.patterns.jittered import neighbour_variance, strata
 from torch_mcaa.patterns.sobol import contrast_variance
 
 ALPHA = 1e-5
-PATTERNS: list[Pattern] = [Independent(), Jittered(), MultiJittered(), Sobol()]
+PATTERNS: list[Pattern] = [Independent(), Jittered(), MultiJittered(), Sobol(), Lattice()]
 STRATIFIED: list[Pattern] = [Jittered(), MultiJittered()]
 SIDE = 64
 ROWS, COLS = torch.arange(SIDE) - 20, torch.arange(SIDE) + 1000
@@ -34,7 +34,7 @@ Case = tuple[Callable[[Tensor, Tensor], Tensor], Tensor]
 
 
 def points(pattern: Pattern, n: int, seed: int = 1, round: int = 0, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:
-    return pattern.points(n, ROWS, COLS, seed=seed, round=round, dtype=dtype)
+    return pattern.points(pattern.count(n), ROWS, COLS, seed=seed, round=round, dtype=dtype)
 
 
 def z_bound(tests: int) -> float:

@@ -60,7 +60,9 @@ class Integrand:
             raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {len(x)} points with {place}") from error
         values = [_checked(value, x, self.dtype)[:count].view(shape) for value in _as_channels(returned, x)]
         if self.channels not in (0, len(values)):
-            raise McaaError(f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call")
+            raise McaaError(
+                f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call"
+            )
         self.channels = len(values)
         if self.nonfinite == "raise":
             for channel, value in enumerate(values):
@@ -117,7 +119,7 @@ def _as_channels(returned: object, x: Tensor) -> Sequence[object]:
     elif isinstance(returned, (tuple, list)) and returned:
         return returned
     raise McaaError(
-        f"f must return a tensor of its input's shape {tuple(x.shape)}, a tuple of C such tensors, or one of shape (C, {', '.join(map(str, x.shape))}); "
+        f"f must return a tensor of its input's shape {tuple(x.shape)}, a tuple of C such tensors, or one of shape (C, {len(x)}); "
         f"got {_describe(returned)}; for a constant return torch.full_like(x, value)"
     )
 
@@ -126,7 +128,9 @@ def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
     if not isinstance(value, Tensor) or value.shape != x.shape:
         raise McaaError(f"each channel that f returns must be a tensor of shape {tuple(x.shape)}, got {_describe(value)}")
     if value.device != x.device:
-        raise McaaError(f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}")
+        raise McaaError(
+            f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}"
+        )
     if value.is_complex():
         raise McaaError(f"f returned {value.dtype}; a colour is real: return the real part, the modulus, or both as channels")
     return value.to(dtype).contiguous()

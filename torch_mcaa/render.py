@@ -135,7 +135,15 @@ def render(
 
 
 def _task(
-    f: Function, screen: Screen, filter: Filter, boundary: str, nonfinite: str, seed: int, dtype: torch.dtype, device: object, placed_once: bool = True
+    f: Function,
+    screen: Screen,
+    filter: Filter,
+    boundary: str,
+    nonfinite: str,
+    seed: int,
+    dtype: torch.dtype,
+    device: torch.device | str | None,
+    placed_once: bool = True,
 ) -> Task:
     if not callable(f):
         raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}; wrap an image in Texture(image)")
@@ -155,9 +163,11 @@ def _task(
             f"got boundary={boundary!r}: pass boundary='zero', or take Lanczos(3)"
         )
     try:
-        placed = torch.empty(0, device="cpu" if device is None else device).device  # pyright: ignore[reportArgumentType]
+        placed = torch.empty(0, device="cpu" if device is None else device).device
     except (RuntimeError, TypeError, AssertionError) as error:
-        raise McaaError(f"device {device!r} cannot be used: {str(error).splitlines()[0]}; pass device='cpu' or one that is there") from error
+        raise McaaError(
+            f"device {device!r} cannot be used: {str(error).splitlines()[0]}; pass device='cpu' or one that is there"
+        ) from error
     bound = f
     if placed_once and hasattr(f, "on"):
         bound = f.on((screen.height, screen.width))  # pyright: ignore[reportFunctionMemberAccess]
@@ -253,7 +263,8 @@ class _Work:
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
-        assert self.tolerance is not None and self._picture is not None
+        assert self.tolerance is not None
+        assert self._picture is not None
         window = (slice(None), *self.cells[index].window)
         return self.tolerance.met(self._picture.value[window], self._picture.variance[window])
 

@@ -32,9 +32,13 @@ class Importance(Estimator):
     def check(self, task: Task) -> None:
         density = self._density(task)
         if not density.covers(task.filter):
-            raise McaaError(f"{density} is 0 where {task.filter} is not, which would be a silent bias; use a density that covers the filter")
+            raise McaaError(
+                f"{density} is 0 where {task.filter} is not, which would be a silent bias; use a density that covers the filter"
+            )
         if task.boundary == "renormalize" and not isinstance(task.filter, SeparableFilter):
-            raise McaaError(f"boundary='renormalize' needs the integral of w over the screen, known for separable filters only, not {task.filter}; use Shared")
+            raise McaaError(
+                f"boundary='renormalize' needs the integral of w over the screen, known for separable filters only, not {task.filter}; use Shared"
+            )
 
     def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
         return (32, 32) if adaptive else (64, 64)

@@ -60,7 +60,6 @@ class LatticeWeights:
             self.along_x = torch.eye(len(taps), dtype=torch.float64)[:, :, None].expand(-1, -1, strip.count)
         self.block_strips = max(1, _BLOCK_ROWS // strip.period)
 
-
     def geometry(self, cell: Cell) -> Geometry:
         reach, period, screen = self.reach, self.strip.period, self.task.screen
         top, bottom = cell.row - reach, cell.row + cell.height + reach
@@ -70,7 +69,9 @@ class LatticeWeights:
             top, bottom, left, right = max(top, 0), min(bottom, screen.height), max(left, 0), min(right, screen.width)
         depth = self.block_strips + (cell.row - first * period + reach - 1) // period + 1
         blocks = -(-cell.height // (self.block_strips * period))
-        return Geometry(top // period, -(-bottom // period) - top // period, left, right - left, top // period - first, blocks, depth)
+        return Geometry(
+            top // period, -(-bottom // period) - top // period, left, right - left, top // period - first, blocks, depth
+        )
 
     def along_y(self, cell: Cell, at: Geometry) -> tuple[Tensor, Tensor, Tensor | None]:
         """Weights (terms, B, R, depth, count), signs (3, depth) of the characters' changes over the strips, and the norm.

@@ -33,12 +33,15 @@ class Shared(Estimator):
         if isinstance(self.replicates, bool) or not isinstance(self.replicates, int) or self.replicates < 1:
             raise McaaError(f"replicates must be an integer of at least 1, got {self.replicates!r}")
         if self.replicates > 1 and not isinstance(self.pattern, Lattice):
-            raise McaaError(f"replicates are for a Lattice, whose points depend on one another; {self.pattern} with replicates={self.replicates} is not needed")
+            raise McaaError(
+                f"replicates are for a Lattice, whose points depend on one another; {self.pattern} with replicates={self.replicates} is not needed"
+            )
 
     def check(self, task: Task) -> None:
-        if math.isinf(max(task.filter.radius)):
-            if not isinstance(self.pattern, Lattice):
-                raise McaaError(f"{task.filter} reaches over the whole screen, which only Shared(Lattice()) can afford; got {self.pattern}")
+        if math.isinf(max(task.filter.radius)) and not isinstance(self.pattern, Lattice):
+            raise McaaError(
+                f"{task.filter} reaches over the whole screen, which only Shared(Lattice()) can afford; got {self.pattern}"
+            )
 
     def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
         if math.isinf(max(task.filter.radius)):

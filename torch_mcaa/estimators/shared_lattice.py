@@ -20,9 +20,9 @@ class LatticeRound(Round):
     """One lattice rule over the screen. With `contrast` it brings its variance: character sums, audit and floor; without, values only."""
 
     def __init__(self, task: Task, spp: int, number: int, replicate: int = 0, contrast: bool = True) -> None:
-        shift = tuple(float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
+        sx, sy = (float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
         self.task = task
-        self.strip = Lattice().strip(spp, replicate, contrast, shift)
+        self.strip = Lattice().strip(spp, replicate, contrast, (sx, sy))
         self.audit = Audit(task, self.strip, number) if contrast else None
         counts = self.strip.row_counts()
         if self.audit is not None:
@@ -124,7 +124,7 @@ class LatticeRound(Round):
                     counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
                 for channel, value in enumerate(values):
                     if len(sums) <= channel:
-                        sums.append(splat.start())
+                        sums.append(splat.start(channel))
                         held.append({})
                     splat.weigh(sums[channel], batch, group, value)
                     if self.audit is not None:

@@ -82,17 +82,31 @@ class Splat:
                 terms.append(_Term(by_group, place(rows), signed))
             self.batches.append(Batch(start, planes.stop - start, terms))
 
+        self._sums: list[Sums] = []
+
     def moved(self, cell: Cell, at: Geometry) -> None:
         """Serve another cell of the same shape and phase."""
         self.cell, self.at = cell, at
 
-    def start(self) -> Sums:
-        """Empty sums for one channel."""
+    def start(self, channel: int) -> Sums:
+        """Empty sums for one channel of a cell; they are this object's own and hold until the next cell starts."""
+        while len(self._sums) <= channel:
+            self._sums.append(self._new())
+        sums = self._sums[channel]
+        sums.plain.zero_()
+        if sums.signed is not None:
+            sums.signed.zero_()
+        return sums
+
+    def _new(self) -> Sums:
         term, blocks, width = self.batches[0].terms[0], self.at.blocks, self.cell.width
         new = term.matrix.new_zeros
-        sums = Sums(new(blocks, term.matrix.shape[1], width), None if term.signed is None else new(blocks, term.signed.shape[1], width))
+        sums = Sums(
+            new(blocks, term.matrix.shape[1], width), None if term.signed is None else new(blocks, term.signed.shape[1], width)
+        )
         strips = (blocks - 1) * self.block_strips + self.at.depth
         for _ in self.batches[0].terms:
+            # strips without samples stay 0
             shape = (strips, self.batches[0].count, width)
             sums.buffers.append((new(shape), new(shape) if self.contrast else None))
         return sums

@@ -10,7 +10,7 @@ So a generator is good when its short dual vectors are long (smooth f) and lie o
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -63,7 +63,7 @@ def badness(count: int, generator: int, period: int) -> float:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def best_generator(count: int, period: int) -> tuple[float, int]:
     """(badness, generator) of the best strip lattice of `count` points in 1 x `period` pixels."""
     if count < 3:
