@@ -54,17 +54,19 @@ def compare(name: str, k: int, size: int, pairs: int) -> None:
 
 
 LARGE = """
-import resource, sys, time, torch, torch_mcaa as mcaa
+import sys, time, torch, torch_mcaa as mcaa
 size = int(sys.argv[1])
 def f(x, y):
     return torch.sin(x * 0.01), (torch.hypot(x - 300, y - 300) < 200).float(), torch.cos(y * 0.02)
 mcaa.render(f, (64, 64))
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def status(key):
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith(key))
+before = status("VmRSS")
 begin = time.perf_counter()
 picture = mcaa.render(f, (size, size))
 seconds = time.perf_counter() - begin
 results = sum(t.numel() * t.element_size() for t in (picture.image, picture.stderr, picture.spp, picture.invalid, picture.model))
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+peak = status("VmHWM") - before
 print(f"| {size}² x 3 | {seconds:.1f} s | {seconds / size**2 * 1e9:.0f} | {results / 2**20:.0f} | {peak / 1024 - results / 2**20:.0f} |")
 """
 

@@ -318,6 +318,7 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
         ("render", "scene.py:disc", "--size", "4000x4000", "--bits", "8", "-o", "new.npz"),
         "bits .*png only",
     ),
+    "a target that cannot be, before any work": (("render", "scene.py:failing", "-o", "there.png"), "it exists"),
     "an existing target": (("render", "scene.py:disc", "-o", "there.png"), "it exists.*--force"),
     "a target in no folder": (("render", "scene.py:disc", "-o", "nowhere/new.png"), "cannot write nowhere/new.png"),
     "a target that is a folder": (("render", "scene.py:disc", "-o", "afolder.png", "--force"), "not a regular file"),

@@ -97,7 +97,7 @@ def test_every_evaluation_is_counted_and_blocks_are_small() -> None:
 
     for estimator in (mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance(), mcaa.Shared(replicates=2)):
         seen.clear()
-        picture = mcaa.render(f, (90, 70), estimator=estimator, spp=32)
+        picture = mcaa.render(f, (60, 60), estimator=estimator, spp=20)
         assert picture.evaluations == sum(seen)
         assert max(seen) <= BLOCK
 
@@ -436,7 +436,7 @@ def test_one_bad_channel_spoils_the_sample_for_all() -> None:
     """A sample counts once, in every channel or in none."""
 
     def f(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.where(in_pixels(x, y), torch.nan, 1.0), torch.where(in_pixels(x, y), 50.0, 1.0)
+        return torch.where(in_pixels(x, y), 50.0, 1.0), torch.where(in_pixels(x, y), torch.nan, 1.0)
 
     for estimator in ESTIMATORS:
         picture = mcaa.render(f, SIZE, filter=mcaa.Box(), estimator=estimator, nonfinite="ignore")

@@ -294,8 +294,8 @@ def test_spp_is_a_hard_cap_however_the_strips_fall(height: int) -> None:
 
 @pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
 def test_spp_is_a_hard_cap_over_many_cells(estimator: mcaa.Auto) -> None:
-    for spp, tolerance in itertools.product((1, 2, 5, 17), (None, 1e-9)):
-        picture = mcaa.render(wild, (97, 133), estimator=estimator, spp=spp, tolerance=tolerance)
+    for spp, tolerance in itertools.product((1, 5, 9), (None, 1e-9)):
+        picture = mcaa.render(wild, (33, 97), estimator=estimator, spp=spp, tolerance=tolerance)
         assert 0.6 * spp - 1 <= float(picture.spp.double().mean()) <= spp
 
 
@@ -528,6 +528,7 @@ def test_progress_bar(
     assert out == ""
     assert ("rendering" in err) == (terminal and progress is not False and patience < 0)
     assert terminal or not err.strip()
+    assert terminal or progress or err == ""
 
 
 # --- the methods of a Rendering

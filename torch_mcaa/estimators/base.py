@@ -82,7 +82,7 @@ class Estimator(ABC):
 
 
 def add_floor(variance: Tensor, value: Tensor, spp: float) -> Tensor:
-    """The variance with a floor for what no sample met, so that it is never 0 by ignorance.
+    """The variance, in place, with a floor for what no sample met, so that it is never 0 by ignorance.
 
     The floor is the square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a
     hundredth of a sample's area. A constant cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n.
@@ -92,19 +92,20 @@ def add_floor(variance: Tensor, value: Tensor, spp: float) -> Tensor:
     magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
     rounding = 64 * torch.finfo(value.dtype).eps
     scale = torch.where(span > rounding * magnitude, span, torch.where(magnitude > 0, magnitude, torch.ones_like(magnitude)))
-    return variance + (0.01 * scale / spp) ** 2
+    return variance.add_((0.01 * scale / spp) ** 2)
 
 
 def box3(plane: Tensor) -> Tensor:
     """The mean over each pixel's 3 x 3 neighbours inside the cell, of a (C, h, w) tensor."""
     for dim in (-2, -1):
         size = plane.shape[dim]
-        total = plane.clone()
-        if size > 1:
-            total.narrow(dim, 1, size - 1).add_(plane.narrow(dim, 0, size - 1))
-            total.narrow(dim, 0, size - 1).add_(plane.narrow(dim, 1, size - 1))
-            total.mul_(1 / 3)
-            for end in (0, size - 1):
-                total.narrow(dim, end, 1).mul_(3 / 2)
+        if size == 1:
+            continue
+        total = torch.empty_like(plane)
+        inner = total.narrow(dim, 1, size - 1)
+        torch.add(plane.narrow(dim, 1, size - 1), plane.narrow(dim, 0, size - 1), out=inner)
+        inner.narrow(dim, 0, size - 2).add_(plane.narrow(dim, 2, size - 2)).mul_(1 / 3)
+        total.narrow(dim, size - 1, 1).mul_(1 / 2)
+        torch.add(plane.narrow(dim, 0, 1), plane.narrow(dim, 1, 1), out=total.narrow(dim, 0, 1)).mul_(1 / 2)
         plane = total
     return plane

@@ -71,7 +71,7 @@ class _ImportanceRound(Round):
         if bad is not None:
             invalid = bad.sum(0, dtype=torch.int32)
             left = self.count - invalid
-            terms = terms * torch.where(left > 0, self.count / left.clamp_min(1), torch.nan)
+            terms = terms * torch.where(left > 0, self.count / left.clamp_min(1).to(task.dtype), torch.nan)
         value = terms.sum(1)
         variance = torch.stack([self.pattern.variance(channel, u, v) for channel in terms])
         if task.boundary == "renormalize":

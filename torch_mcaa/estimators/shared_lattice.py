@@ -54,9 +54,11 @@ class LatticeRound(Round):
                 value = torch.where(kept > 1e-3, value / kept, torch.nan)
         else:
             kept = None
-        variance = torch.zeros_like(value)
-        if power is not None and extra is not None:
-            variance = torch.maximum(power, box3(power)) / CHARACTER_RATIO + extra
+        if power is None or extra is None:
+            variance = torch.zeros_like(value)
+        else:
+            pooled = box3(power)
+            variance = torch.maximum(power, pooled, out=pooled).mul_(1 / CHARACTER_RATIO).add_(extra)
             if kept is not None:
                 variance = variance / kept.clamp_min(1e-3).square()
         if splat.norm is not None:
@@ -156,7 +158,7 @@ class LatticeRound(Round):
 
 
 class ReplicatedRound(Round):
-    """R >= 2 independent lattices with other generators; the variance is that between them, pooled over 3 x 3 pixels."""
+    """R >= 2 independent lattices with other generators; the variance is that between them, or its 3 x 3 neighbours' mean where larger."""
 
     def __init__(self, task: Task, spp: int, number: int, replicates: int) -> None:
         self.rounds = [LatticeRound(task, spp // replicates, number, r, contrast=False) for r in range(replicates)]
@@ -172,4 +174,4 @@ class ReplicatedRound(Round):
         value = values.mean(0)
         points = torch.stack([e.points for e in estimates]).sum(0, dtype=torch.int32)
         invalid = torch.stack([e.invalid for e in estimates]).sum(0, dtype=torch.int32)
-        return Estimate(value, add_floor(box3(spread), value, self.per_pixel), points, invalid)
+        return Estimate(value, add_floor(torch.maximum(spread, box3(spread)), value, self.per_pixel), points, invalid)

@@ -74,4 +74,4 @@ class SharedPointsRound(Round):
                     reached += weight.abs().sum(0)
                 value = torch.where(reached > 0, torch.nan, value)
         points = torch.full((cell.height, cell.width), self.count, dtype=torch.int32, device=task.device)
-        return Estimate(value, add_floor(box3(variance), value, self.count), points, invalid)
+        return Estimate(value, add_floor(torch.maximum(variance, box3(variance)), value, self.count), points, invalid)

@@ -71,24 +71,31 @@ class Lattice(Pattern):
         return torch.frac(u).to(dtype).clamp_(max=below_one), torch.frac(v).to(dtype).clamp_(max=below_one)
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """n / 2 times the mean squared difference of neighbours along the two shortest vectors, inside the unit square.
+        """n / 2 times the weighted mean squared difference of neighbours along the two shortest vectors.
 
-        Exact for white noise; above the truth where f is smooth. The character sums that `Shared` uses need a function that is periodic,
-        which f drawn through one pixel's filter is not.
+        Neighbours across the sides of the unit square weigh n^-0.5, those inside it 1. White noise is reported without bias, whatever the
+        weights. Smooth f needs the first kind too: its periodic continuation jumps at the sides, and a weight of n^-0.5 on some n^0.5
+        pairs keeps that share at the n^-2 of the true variance. The character sums that `Shared` uses need a function that is periodic.
+
+        Measured for odd n from 21 to 131, 255, 257 and 301 (random half-planes, discs, quadratics, blobs and tones over the unit
+        square): 1.2 to 12 times the true variance, least where the generator has a divisor in common with n; the 95 % interval covers at
+        least 0.93 of the pixels. Fewer points can all fall on one side of an edge: on the worse of half-planes and discs it covers
+        0.92 of the pixels at n = 15, 0.84 at n = 7 and 9, and 0.61 at n = 3.
         """
         n = terms.shape[0]
         if n < 3:
             return torch.full_like(terms[0], torch.inf)
         generator = best_generator(n, 1)[1]
         dual = np.stack(reduced_basis(np.array([1.0, -float(generator)]), np.array([0.0, float(n)])))
-        squares, pairs = torch.zeros_like(terms[0]), torch.zeros_like(terms[0])
+        squares, total = torch.zeros_like(terms[0]), torch.zeros_like(terms[0])
         for step in np.linalg.inv(dual).T:
             # index i + k lies at `step` from index i, but for whole numbers
             k = round(float(step[1]) * n) % n
-            beside = ((u.roll(-k, 0) - u - step[0]).abs() < 1e-3 / n) & ((v.roll(-k, 0) - v - step[1]).abs() < 1e-3 / n)
-            squares += ((terms.roll(-k, 0) - terms).square() * beside).sum(0)
-            pairs += beside.sum(0)
-        return torch.where(pairs > 0, squares / pairs.clamp_min(1) * (n / 2), torch.inf)
+            inside = ((u.roll(-k, 0) - u - step[0]).abs() < 1e-6) & ((v.roll(-k, 0) - v - step[1]).abs() < 1e-6)
+            weight = inside.to(terms.dtype).clamp_min_(n**-0.5)
+            squares += ((terms.roll(-k, 0) - terms).square() * weight).sum(0)
+            total += weight.sum(0)
+        return squares / total * (n / 2)
 
     def strip(self, spp: int, replicate: int, audited: bool, shift: tuple[float, float]) -> Strip:
         """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
