@@ -286,7 +286,7 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "nan": (("render", "scene.py:one_nan", *SIZED, "-o", "new.png"), "f returned nan at x = .*nonfinite='ignore'"),
     "f raises": (("render", "scene.py:failing", *SIZED, "-o", "new.png"), "f raised RuntimeError: out of ideas"),
     "f returns a number": (("render", "scene.py:number", *SIZED, "-o", "new.png"), "got float 0.5"),
-    "a class as f": (("render", "scene.py:Disc", *SIZED, "-o", "new.png"), "f raised TypeError"),
+    "a class as f": (("render", "scene.py:Disc", *SIZED, "-o", "new.png"), "got the class Disc"),
     "size nonsense": (("render", "scene.py:disc", "--size", "big", "-o", "new.png"), "WIDTHxHEIGHT.*'big'"),
     "size 0x5": (("render", "scene.py:disc", "--size", "0x5", "-o", "new.png"), "width 0"),
     "size 5x0": (("render", "scene.py:disc", "--size", "5x0", "-o", "new.png"), "height 0"),

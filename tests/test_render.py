@@ -24,7 +24,8 @@ import torch_mcaa as mcaa
 from torch_mcaa import progress as progress_module
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.filters import Filter, SeparableFilter
-from torch_mcaa.grid import Screen
+from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.render import _task
 
 SIZE = (9, 11)
 FILTERS: list[Filter] = [
@@ -391,6 +392,19 @@ def test_tolerance_spends_where_it_is_needed() -> None:
     assert picture.stopped == "tolerance"
     assert float(picture.stderr.max()) <= 2e-2
     assert float(picture.spp[:, :64].double().mean()) > 2 * float(picture.spp[:, 128:].double().mean())
+
+
+def test_rounds_are_merged_by_their_numbers_of_evaluations() -> None:
+    """Rounds of 4, 8 and 16: weights n^1.5, whatever the values."""
+    picture = mcaa.render(wild, SIZE, estimator=mcaa.Importance(), tolerance=1e-9, spp=28, seed=3, dtype=torch.float64)
+    task = _task(wild, Screen.of(SIZE), mcaa.Gaussian(0.5), "extend", "raise", 3, torch.float64, None)
+    rounds = [mcaa.Importance().round(task, n, k).estimate(Cell(0, 0, *SIZE)) for k, n in enumerate((4, 8, 16))]
+    weights = [n**1.5 / sum(m**1.5 for m in (4, 8, 16)) for n in (4, 8, 16)]
+    value = torch.stack([w * r.value for w, r in zip(weights, rounds)]).sum(0)
+    variance = torch.stack([w**2 * r.variance for w, r in zip(weights, rounds)]).sum(0)
+    torch.testing.assert_close(picture.image, value, rtol=1e-13, atol=1e-13)
+    torch.testing.assert_close(picture.stderr**2, variance, rtol=1e-13, atol=0)
+    assert bool((picture.spp == 28).all())
 
 
 def test_relative_tolerance() -> None:
@@ -764,7 +778,7 @@ def test_replicates_work_or_are_refused_before_the_work(replicates: int, spp: in
 
     estimator = mcaa.Shared(replicates=replicates)
     if spp < replicates:
-        with pytest.raises(McaaError, match=f"{replicates} replicates need at least {replicates} evaluations"):
+        with pytest.raises(McaaError, match=f"replicates={replicates}\\) needs at least {replicates} evaluations"):
             mcaa.render(f, SIZE, estimator=estimator, spp=spp, **options)
         assert not calls
     else:

@@ -26,10 +26,15 @@ class Progress:
         self._report = wanted if callable(wanted) else None
         self._shown = wanted is True or (wanted is None and sys.stderr.isatty())
         self._start = time.perf_counter()
+        self._told = 0.0
         self._bar: Any = None
         self._task: Any = None
 
     def update(self, fraction: float) -> None:
+        """Tell a fraction; it is passed on when it is more than the one before."""
+        if fraction <= self._told:
+            return
+        self._told = fraction
         if self._report is not None:
             self._report(fraction)
         if self._shown and (self._bar is not None or time.perf_counter() - self._start > _PATIENCE):

@@ -19,6 +19,7 @@ from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function, Integrand, Nonfinite
 from torch_mcaa.progress import Progress, Report
 from torch_mcaa.rendering import Rendering, Stopped
+from torch_mcaa.texture import Texture
 
 _PILOT = 4
 
@@ -109,12 +110,15 @@ def render(
         raise McaaError(f"compile must be 'auto' or False, got {compile!r}")
     if tolerance is not None and not isinstance(tolerance, Tolerance):
         tolerance = Tolerance(absolute=tolerance)
+    if spp < chosen.fewest:
+        raise McaaError(f"{chosen} needs at least {chosen.fewest} evaluations a pixel, got spp = {spp}")
     chosen.check(task)
     bar = Progress(progress)
     work = _Work(task, chosen, spp, tolerance, None if seconds is None else start + seconds, bar)
     with torch.no_grad():
         try:
             stopped = work.run()
+            bar.update(1.0)
         except KeyboardInterrupt:
             warnings.warn("interrupted: pixels without a value are NaN, with a standard error of +inf", McaaWarning, stacklevel=2)
             stopped = "interrupted"
@@ -147,6 +151,8 @@ def _task(
 ) -> Task:
     if not callable(f):
         raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}; wrap an image in Texture(image)")
+    if isinstance(f, type):
+        raise McaaError(f"f must be a function of two tensors x, y, got the class {f.__name__}; pass an instance of it")
     if not isinstance(filter, Filter):
         raise McaaError(f"filter must be a filter such as Gaussian(0.5) or Box(), got {filter!r}")
     if boundary not in ("extend", "zero", "renormalize"):
@@ -168,9 +174,11 @@ def _task(
         raise McaaError(
             f"device {device!r} cannot be used: {str(error).splitlines()[0]}; pass device='cpu' or one that is there"
         ) from error
+    if placed.type == "meta":
+        raise McaaError("device 'meta' cannot be used: it holds no values; pass device='cpu'")
     bound = f
-    if placed_once and hasattr(f, "on"):
-        bound = f.on((screen.height, screen.width))  # pyright: ignore[reportFunctionMemberAccess]
+    if placed_once and isinstance(f, Texture):
+        bound = f.on((screen.height, screen.width))
     return Task(screen, Integrand(bound, dtype, nonfinite), filter, boundary, seed, dtype, placed)
 
 
@@ -193,7 +201,7 @@ class _Work:
         adaptive = self.tolerance is not None or self.deadline is not None
         self.cells = list(self.task.screen.cells(*self.estimator.cell(self.task, adaptive)))
         self.weights = [0.0] * len(self.cells)
-        self.pilot = min(self.spp, _PILOT) if adaptive else self.spp
+        self.pilot = max(self.estimator.fewest, min(self.spp, _PILOT)) if adaptive else self.spp
 
     def run(self) -> Stopped:
         """Rounds until the tolerance is met, or the evaluations or the time are spent.
@@ -222,14 +230,14 @@ class _Work:
             left = self.spp * pixels - self._spent
             room = int(left // sum(self.cells[index].height * self.cells[index].width for index in active))
             asked = room if self.tolerance is None else min(room, 2 * asked)
-            if asked < 1:
+            if asked < self.estimator.fewest:
                 return "spp"
             if self.deadline is not None:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
                 reach = sum(self.cells[index].height * self.cells[index].width for index in active) * rate
-                asked = min(asked, int((self.deadline - now) / reach))
-                if asked < 1:
+                asked = int(min(asked, (self.deadline - now) / reach))
+                if asked < self.estimator.fewest:
                     return "seconds"
 
     def _affordable(self, asked: int, number: int, active: Sequence[int]) -> Round:
@@ -237,7 +245,7 @@ class _Work:
         left = self.spp * self.task.screen.height * self.task.screen.width - self._spent
         while True:
             current = self.estimator.round(self.task, asked, number)
-            if asked == 1 or sum(current.points(self.cells[index]) for index in active) <= left:
+            if asked == self.estimator.fewest or sum(current.points(self.cells[index]) for index in active) <= left:
                 return current
             asked -= 1
 

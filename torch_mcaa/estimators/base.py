@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Literal
@@ -64,6 +65,11 @@ class Round(ABC):
 class Estimator(ABC):
     """A way to estimate (1) for every pixel, with its variance. Estimators are stateless values."""
 
+    @property
+    @abstractmethod
+    def fewest(self) -> int:
+        """The least number of evaluations a pixel that a round can have."""
+
     @abstractmethod
     def check(self, task: Task) -> None:
         """Refuse what this estimator cannot do, with the reason.
@@ -78,21 +84,31 @@ class Estimator(ABC):
 
     @abstractmethod
     def round(self, task: Task, spp: int, number: int) -> Round:
-        """Round `number` (0, 1, ...) with at most `spp` >= 1 evaluations a pixel; rounds are independent of one another."""
+        """Round `number` (0, 1, ...) with at most `spp` >= `fewest` evaluations a pixel; rounds are independent of one another."""
 
 
-def add_floor(variance: Tensor, value: Tensor, spp: float) -> Tensor:
-    """The variance, in place, with a floor for what no sample met, so that it is never 0 by ignorance.
+def pooled(variance: Tensor) -> Tensor:
+    """The larger of each pixel's variance and the mean over its 3 x 3 neighbours inside the cell; (C, h, w). NaN and +inf do not spread."""
+    around = box3(torch.nan_to_num(variance, nan=0.0, posinf=0.0))
+    return torch.maximum(around, variance)
+
+
+def settled(variance: Tensor, value: Tensor, spp: float) -> Tensor:
+    """The variance, in place, with a floor for what no sample met, so that it is never 0 by ignorance; +inf where there is no value.
 
     The floor is the square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a
     hundredth of a sample's area. A constant cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n.
     """
-    low, high = value.amin((-2, -1), keepdim=True), value.amax((-2, -1), keepdim=True)
-    span = torch.nan_to_num(high - low, nan=0.0, posinf=0.0)
+    low = torch.nan_to_num(value, nan=torch.inf, posinf=torch.inf, neginf=-torch.inf).amin((-2, -1), keepdim=True)
+    high = torch.nan_to_num(value, nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf).amax((-2, -1), keepdim=True)
+    span = torch.nan_to_num(high - low, nan=0.0, posinf=0.0, neginf=0.0)
     magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
     rounding = 64 * torch.finfo(value.dtype).eps
     scale = torch.where(span > rounding * magnitude, span, torch.where(magnitude > 0, magnitude, torch.ones_like(magnitude)))
-    return variance.add_((0.01 * scale / spp) ** 2)
+    variance.add_((0.01 * scale / spp) ** 2)
+    if not math.isfinite(value.sum().item()):
+        variance.masked_fill_(~torch.isfinite(value), torch.inf)
+    return variance
 
 
 def box3(plane: Tensor) -> Tensor:

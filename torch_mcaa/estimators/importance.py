@@ -8,7 +8,7 @@ import torch
 
 from torch_mcaa.densities import Density, FilterDensity
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, add_floor, box3
+from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, pooled, settled
 from torch_mcaa.estimators.points import evaluate_points
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -28,6 +28,10 @@ class Importance(Estimator):
 
     pattern: Pattern = field(default_factory=Sobol)
     density: Density | None = None
+
+    @property
+    def fewest(self) -> int:
+        return 1
 
     def check(self, task: Task) -> None:
         density = self._density(task)
@@ -79,9 +83,8 @@ class _ImportanceRound(Round):
             value, variance = value / norm, variance / norm.square()
         if bad is not None and task.integrand.nonfinite == "propagate":
             value = torch.where(invalid > 0, torch.nan, value)
-        variance = torch.maximum(variance, box3(variance))
         points = torch.full_like(invalid, self.count)
-        return Estimate(value, add_floor(variance, value, self.count), points, invalid)
+        return Estimate(value, settled(pooled(variance), value, self.count), points, invalid)
 
     def _inside(self, cell: Cell) -> torch.Tensor:
         """(h, w): the integral of w over the screen, of each pixel."""

@@ -43,10 +43,10 @@ class Geometry:
 
 
 class LatticeWeights:
-    """The weights of one strip lattice under one task's filter and boundary."""
+    """The weights of one strip lattice under one task's filter and boundary; with `absolute` those of |w| in its place."""
 
-    def __init__(self, task: Task, strip: Strip) -> None:
-        self.task, self.strip = task, strip
+    def __init__(self, task: Task, strip: Strip, absolute: bool = False) -> None:
+        self.task, self.strip, self.absolute = task, strip, absolute
         screen, radius = task.screen, max(task.filter.radius)
         self.bounded = math.isfinite(radius)
         # k + x - 1/2 with x in [0, 1) reaches |d| < radius for |k| <= ceil(radius - 1/2)
@@ -55,7 +55,7 @@ class LatticeWeights:
         # (terms, taps, count) factors along x, and what the factors along y depend on x by
         self.x_places = taps[:, None] + torch.from_numpy(strip.x) - 0.5
         if isinstance(task.filter, SeparableFilter):
-            self.along_x = task.filter.profile(self.x_places)[None]
+            self.along_x = self._sign(task.filter.profile(self.x_places))[None]
         else:
             self.along_x = torch.eye(len(taps), dtype=torch.float64)[:, :, None].expand(-1, -1, strip.count)
         self.block_strips = max(1, _BLOCK_ROWS // strip.period)
@@ -106,8 +106,12 @@ class LatticeWeights:
         """(terms, rows, strips, count): the factors along y at the differences d (rows, strips, count)."""
         filter = self.task.filter
         if isinstance(filter, SeparableFilter):
-            return filter.profile(d)[None]
-        return filter(self.x_places[:, None, None, :].expand(-1, *d.shape), d[None].expand(len(self.x_places), *d.shape))
+            return self._sign(filter.profile(d))[None]
+        value = filter(self.x_places[:, None, None, :].expand(-1, *d.shape), d[None].expand(len(self.x_places), *d.shape))
+        return self._sign(value)
+
+    def _sign(self, weight: Tensor) -> Tensor:
+        return weight.abs() if self.absolute else weight
 
     def _x_sums(self, cell: Cell, at: Geometry) -> Tensor:
         """(terms, count, width): what the factors along x of the samples that exist sum to."""

@@ -37,6 +37,10 @@ class Shared(Estimator):
                 f"replicates are for a Lattice, whose points depend on one another; {self.pattern} with replicates={self.replicates} is not needed"
             )
 
+    @property
+    def fewest(self) -> int:
+        return self.replicates
+
     def check(self, task: Task) -> None:
         if math.isinf(max(task.filter.radius)) and not isinstance(self.pattern, Lattice):
             raise McaaError(
@@ -55,14 +59,16 @@ class Shared(Estimator):
             return SharedPointsRound(task, self.pattern, self.pattern.count(spp), number)
         if self.replicates == 1:
             return LatticeRound(task, spp, number)
-        if spp < self.replicates:
-            raise McaaError(f"{self.replicates} replicates need at least {self.replicates} evaluations a pixel, got spp = {spp}")
         return ReplicatedRound(task, spp, number, self.replicates)
 
 
 @dataclass(frozen=True)
 class Auto(Estimator):
     """The default: at present `Shared(Lattice())`, which measures best of the estimators there are."""
+
+    @property
+    def fewest(self) -> int:
+        return 1
 
     def check(self, task: Task) -> None:
         Shared().check(task)

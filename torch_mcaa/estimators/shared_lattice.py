@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.estimators.audit import Audit
-from torch_mcaa.estimators.base import Estimate, Round, Task, add_floor, box3
+from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.estimators.splat import Splat, Sums
 from torch_mcaa.grid import Cell
@@ -23,14 +23,16 @@ class LatticeRound(Round):
         sx, sy = (float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
         self.task = task
         self.strip = Lattice().strip(spp, replicate, contrast, (sx, sy))
-        self.audit = Audit(task, self.strip, number) if contrast else None
+        self.contrast = contrast
+        # a strip without a point to spare has no audit
+        self.audit = Audit(task, self.strip, number) if contrast and self.strip.count < spp * self.strip.period else None
         counts = self.strip.row_counts()
         if self.audit is not None:
             counts[self.audit.row()] += 1
         self.counts = torch.from_numpy(counts).to(torch.int32)
         self.per_pixel = float(counts.sum()) / self.strip.period
         self.weights = LatticeWeights(task, self.strip)
-        self._splats: dict[tuple[Cell, Geometry] | tuple[int, ...], Splat] = {}
+        self._splats: dict[tuple[int, ...], Splat] = {}
 
     def points(self, cell: Cell) -> int:
         return int(self._row_points(cell).sum()) * cell.width
@@ -42,29 +44,26 @@ class LatticeRound(Round):
         task = self.task
         at = self.weights.geometry(cell)
         splat = self._splat(cell, at)
-        value, power, extra, invalid = self._sums(cell, at, splat, masked=False)
+        value, power, extra, left, invalid = self._sums(cell, at, splat, None)
         if invalid is not None:
-            value, power, extra, invalid = self._sums(cell, at, splat, masked=True)
-            # what is left of the weights where samples were not finite, a last channel of its own
-            value, kept = value[:-1], value[-1:]
-            power, extra = (None if t is None else t[:-1] for t in (power, extra))
+            # samples that are not finite count as 0; the share of the weights, or of their moduli, that is left
+            weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
+            masks = Splat(weights, cell, at, contrast=False)
+            value, power, extra, left, invalid = self._sums(cell, at, splat, masks)
+        variance = torch.zeros_like(value)
+        if power is not None:
+            variance = pooled(power).mul_(1 / CHARACTER_RATIO)
+            if extra is not None:
+                variance.add_(extra)
+        if left is not None:
             if task.integrand.nonfinite == "propagate":
-                value = torch.where(kept > 1 - 1e-5, value, torch.nan)
+                value = torch.where(left > 1 - 1e-5, value, torch.nan)
             else:
-                value = torch.where(kept > 1e-3, value / kept, torch.nan)
-        else:
-            kept = None
-        if power is None or extra is None:
-            variance = torch.zeros_like(value)
-        else:
-            pooled = box3(power)
-            variance = torch.maximum(power, pooled, out=pooled).mul_(1 / CHARACTER_RATIO).add_(extra)
-            if kept is not None:
-                variance = variance / kept.clamp_min(1e-3).square()
+                value, variance = torch.where(left > 1e-3, value / left, torch.nan), variance / left.square().clamp_min(1e-6)
         if splat.norm is not None:
             value, variance = value / splat.norm, variance / splat.norm.square()
-        if power is not None:
-            variance = add_floor(variance, value, self.per_pixel)
+        if self.contrast:
+            variance = settled(variance, value, self.per_pixel)
         points = self._row_points(cell).to(task.device)[:, None].expand(cell.height, cell.width)
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
@@ -72,26 +71,21 @@ class LatticeRound(Round):
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
-        if self.task.boundary == "extend":
-            key: tuple[int, ...] = (cell.height, cell.width, cell.row % self.strip.period)
-            moved = key in self._splats
-        else:
-            key, moved = (cell.height, cell.width, cell.row, cell.col), False
+        key = (cell.height, cell.width, cell.row % self.strip.period)
+        if self.task.boundary != "extend":
+            return Splat(self.weights, cell, at, self.contrast)
         if key not in self._splats:
-            self._splats.clear() if len(self._splats) > 8 else None
-            self._splats[key] = Splat(self.weights, cell, at, self.audit is not None)
-        splat = self._splats[key]
-        if moved:
-            splat.moved(cell, at)
-        return splat
+            self._splats[key] = Splat(self.weights, cell, at, self.contrast)
+        self._splats[key].moved(cell, at)
+        return self._splats[key]
 
     def _sums(
-        self, cell: Cell, at: Geometry, splat: Splat, masked: bool
-    ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None]:
-        """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), and counts of samples not finite.
+        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None
+    ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
+        """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), share of weights left (h, w), and counts.
 
-        Without `masked` the first sample that is not finite ends the work, and the counts are a tensor without content. With it such
-        samples are 0 and a last channel holds the weight of the others.
+        Without `masks` the first sample that is not finite ends the work, and the counts are a tensor without content. With them such
+        samples are 0, and the weights of the others and of all are summed too.
         """
         task, strip = self.task, self.strip
         asked = task.screen.coordinate_dtype(cell, task.dtype)
@@ -99,31 +93,33 @@ class LatticeRound(Round):
         rows = torch.arange(at.strip, at.strip + at.strips, dtype=torch.float64) * strip.period
         sums: list[Sums] = []
         held: list[dict[int, Tensor]] = []
-        counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masked else None
+        counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masks else None
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
             x = task.screen.x_of(col).to(task.device, asked)
             y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
             values = task.integrand(x.expand(shape), y)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
-            if masked:
-                kept = torch.ones(shape, dtype=task.dtype, device=task.device)
-                if bad is not None:
-                    values, kept = [value.masked_fill(bad, 0) for value in values], kept.masked_fill(bad, 0)
-                values = [*values, kept]
+            if bad is not None and masks is not None:
+                values = [value.masked_fill(bad, 0) for value in values]
             return values, bad
 
-        for batch in splat.batches:
+        kept, full = (None, None) if masks is None else (masks.start(0), masks.start(1))
+        for number, batch in enumerate(splat.batches):
             for group, first in enumerate(range(0, batch.count, splat.group)):
                 planes = slice(batch.start + first, batch.start + min(first + splat.group, batch.count))
                 x, y = torch.from_numpy(strip.x[planes]), torch.from_numpy(strip.y[planes])
                 shape = (at.strips, len(x), at.cols)
                 values, bad = evaluate(cols[None, :] + x[:, None], (rows[:, None] + y)[:, :, None], shape)
                 if bad is not None and counts is None:
-                    return values[0], None, None, torch.empty(0)
+                    return values[0], None, None, None, torch.empty(0)
                 if bad is not None and counts is not None:
                     places = (torch.arange(at.strips)[:, None] * strip.period + y.long()).flatten().to(task.device)
                     counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
+                if masks is not None and kept is not None and full is not None:
+                    ones = torch.ones(shape, dtype=task.dtype, device=task.device)
+                    masks.weigh(full, masks.batches[number], group, ones)
+                    masks.weigh(kept, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
                 for channel, value in enumerate(values):
                     if len(sums) <= channel:
                         sums.append(splat.start(channel))
@@ -135,11 +131,14 @@ class LatticeRound(Round):
                                 held[channel][plane] = value[:, plane - planes.start].clone()
             for channel in sums:
                 splat.add(channel, batch)
+            if masks is not None and kept is not None and full is not None:
+                masks.add(full, masks.batches[number])
+                masks.add(kept, masks.batches[number])
         extra = None
         if self.audit is not None:
             values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))
             if bad is not None and counts is None:
-                return values[0], None, None, torch.empty(0)
+                return values[0], None, None, None, torch.empty(0)
             if bad is not None and counts is not None:
                 counts[self.audit.row() :: strip.period] += bad.to(torch.int32)
             extra = torch.stack([self.audit.variance(cell, at, v, h) for v, h in zip(values, held, strict=True)])
@@ -148,7 +147,10 @@ class LatticeRound(Round):
         if counts is not None:
             top, left = cell.row - at.strip * strip.period, cell.col - at.col
             counts = counts[top : top + cell.height, left : left + cell.width]
-        return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, extra, counts
+        left = None
+        if masks is not None and kept is not None and full is not None:
+            left = masks.finish(kept)[0] / masks.finish(full)[0]
+        return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, extra, left, counts
 
     def _on_screen(self, row: Tensor) -> Tensor:
         """Rows of strips that reach over a screen outside which f is not asked; their weights are 0."""
@@ -174,4 +176,4 @@ class ReplicatedRound(Round):
         value = values.mean(0)
         points = torch.stack([e.points for e in estimates]).sum(0, dtype=torch.int32)
         invalid = torch.stack([e.invalid for e in estimates]).sum(0, dtype=torch.int32)
-        return Estimate(value, add_floor(torch.maximum(spread, box3(spread)), value, self.per_pixel), points, invalid)
+        return Estimate(value, settled(pooled(spread), value, self.per_pixel), points, invalid)

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from torch_mcaa.estimators.base import Estimate, Round, Task, add_floor, box3
+from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled
 from torch_mcaa.estimators.points import evaluate_points
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns import Pattern
@@ -33,10 +33,8 @@ class SharedPointsRound(Round):
         cols = torch.arange(cell.col - reach, cell.col + cell.width + reach, device=task.device)
         u, v = self.pattern.points(self.count, rows, cols, seed=task.seed, round=self.number, dtype=torch.float64)
         values, inside, bad = evaluate_points(task, cell, cols + u, rows[:, None] + v)
-        counted = inside if task.boundary == "renormalize" else torch.ones_like(inside)
-        if bad is not None:
-            counted = counted & ~bad
-        counted = counted.to(task.dtype)
+        counted = (inside if task.boundary == "renormalize" else torch.ones_like(inside)).to(task.dtype)
+        kept = torch.ones_like(counted) if bad is None else (~bad).to(task.dtype)
         u, v = u.to(task.dtype), v.to(task.dtype)
 
         def taps():
@@ -48,30 +46,32 @@ class SharedPointsRound(Round):
                     yield window, weight
 
         sums = values.new_zeros(len(values), cell.height, cell.width)
-        total, magnitude, mean = torch.zeros_like(sums[0]), torch.zeros_like(sums[0]), torch.zeros_like(sums)
+        full, total, everything, magnitude = torch.zeros(4, cell.height, cell.width, dtype=task.dtype, device=task.device)
+        mean = torch.zeros_like(sums)
         for window, weight in taps():
+            full += weight.sum(0)
+            everything += weight.abs().sum(0)
+            weight = weight * kept[window]
             inner = values[(slice(None), *window)]
             sums += (weight * inner).sum(1)
             mean += (weight.abs() * inner).sum(1)
             total += weight.sum(0)
             magnitude += weight.abs().sum(0)
         mean = mean / magnitude
-        norm = total if task.boundary == "renormalize" or bad is not None else torch.full_like(total, float(self.count))
+        # the share of the weights that is left where samples were not finite
+        share = magnitude / everything
+        norm = (full if task.boundary == "renormalize" else torch.full_like(total, float(self.count))) * share
         value = mean + (sums - mean * total) / norm
         variance = torch.zeros_like(value)
         for window, weight in taps():
             for channel in range(len(values)):
-                terms = weight * (values[channel][window] - value[channel]) / norm
+                terms = weight * kept[window] * (values[channel][window] - value[channel]) / norm
                 variance[channel] += self.pattern.variance(terms, u[window], v[window])
         invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         if bad is not None:
             own = (slice(reach, reach + cell.height), slice(reach, reach + cell.width))
             invalid = bad.sum(0, dtype=torch.int32)[own]
             if task.integrand.nonfinite == "propagate":
-                reached = torch.zeros_like(total)
-                counted = bad.to(task.dtype)
-                for _, weight in taps():
-                    reached += weight.abs().sum(0)
-                value = torch.where(reached > 0, torch.nan, value)
+                value = torch.where(share > 1 - 1e-5, value, torch.nan)
         points = torch.full((cell.height, cell.width), self.count, dtype=torch.int32, device=task.device)
-        return Estimate(value, add_floor(torch.maximum(variance, box3(variance)), value, self.count), points, invalid)
+        return Estimate(value, settled(pooled(variance), value, self.count), points, invalid)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.patterns.base import Pattern, check_count, check_points
-from torch_mcaa.patterns.lattice_search import best_generator, reduced_basis
+from torch_mcaa.patterns.lattice_search import best_generator, ranked_generators, reduced_basis
 from torch_mcaa.patterns.lattice_table import STRIPS
 
 # The squares of the three character sums, the larger of a pixel's and its neighbourhood's mean, over the variance of the lattice rule.
@@ -63,7 +63,7 @@ class Lattice(Pattern):
         self, n: int, rows: Tensor, cols: Tensor, *, seed: int, round: int, dtype: torch.dtype = torch.float32
     ) -> tuple[Tensor, Tensor]:
         check_points(self, n, rows, cols, dtype)
-        generator = best_generator(n, 1)[1]
+        generator = best_generator(n, 1)
         index = torch.arange(n, dtype=torch.float64, device=rows.device)[:, None, None]
         shift = [rng.uniform(seed, rows[:, None], cols[None, :], round, axis, dtype=torch.float64) for axis in (0, 1)]
         u, v = torch.remainder(index * generator, n) / n + shift[0], index / n + shift[1]
@@ -85,7 +85,7 @@ class Lattice(Pattern):
         n = terms.shape[0]
         if n < 3:
             return torch.full_like(terms[0], torch.inf)
-        generator = best_generator(n, 1)[1]
+        generator = best_generator(n, 1)
         dual = np.stack(reduced_basis(np.array([1.0, -float(generator)]), np.array([0.0, float(n)])))
         squares, total = torch.zeros_like(terms[0]), torch.zeros_like(terms[0])
         for step in np.linalg.inv(dual).T:
@@ -100,14 +100,15 @@ class Lattice(Pattern):
     def strip(self, spp: int, replicate: int, audited: bool, shift: tuple[float, float]) -> Strip:
         """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
 
-        With `audited` at least one evaluation of each strip is left over for a point off the lattice.
+        With `audited` at least one evaluation of each strip is left over for a point off the lattice, but for spp = 1.
         """
         period, count, generator = STRIPS[max(s for s in STRIPS if s <= spp)]
         if replicate or not audited or spp > max(STRIPS):
             period = 1 if spp > max(STRIPS) else period
-            count = spp * period - (1 if audited else 0)
-            count = max(count - 1 + count % 2 - 2 * (replicate // 2), 1)
-            generator = best_generator(count, period)[1]
+            count = spp * period - (1 if audited and spp > 1 else 0)
+            count += count % 2 - 1
+            ranked = ranked_generators(count, period)
+            generator = ranked[replicate // 2 % len(ranked)][1]
         if replicate % 2:
             generator = -generator % count
         index = np.arange(count)

@@ -64,21 +64,33 @@ def badness(count: int, generator: int, period: int) -> float:
 
 
 @cache
-def best_generator(count: int, period: int) -> tuple[float, int]:
-    """(badness, generator) of the best strip lattice of `count` points in 1 x `period` pixels."""
+def ranked_generators(count: int, period: int) -> list[tuple[float, int]]:
+    """(badness, generator) of the strip lattices of `count` points in 1 x `period` pixels, the best first; mirror images left out.
+
+    Generators with a factor in common with `count` put several points on one column, which smooth f in one pixel suffers from.
+    """
     if count < 3:
-        return math.inf, 1 % count
-    return min((badness(count, g, period), g) for g in range(1, count // 2 + 1))
+        return [(math.inf, 1 % count)]
+    usable = [g for g in range(1, count // 2 + 1) if period > 1 or math.gcd(g, count) == 1]
+    return sorted((badness(count, g, period), g) for g in usable)
+
+
+def best_generator(count: int, period: int) -> int:
+    """The generator of the best strip lattice of `count` points in 1 x `period` pixels."""
+    return ranked_generators(count, period)[0][1]
 
 
 def search(spp: int, periods: range = range(1, 9)) -> tuple[int, int, int]:
-    """(period, count, generator) for `spp` evaluations a pixel, at least one of each strip's kept for an audit; count is odd."""
+    """(period, count, generator) for `spp` evaluations a pixel; count is odd, and no row of pixels is without a point.
+
+    At least one evaluation of each strip is left over for an audit, but for spp = 1, which has none to spare.
+    """
     candidates = []
     for period in periods:
-        count = spp * period - 1 - (spp * period) % 2
-        if count >= 1:
+        count = period if spp == 1 else spp * period - 1 - (spp * period) % 2
+        if count % 2 and count >= max(period, 3):
+            score, generator = ranked_generators(count, period)[0]
             # fewer points a pixel are paid for as the edges' n^-0.75 has it
-            score, generator = best_generator(count, period)
             candidates.append((score * (spp * period / count) ** 0.75, period, count, generator))
     return min(candidates)[1:]
 
