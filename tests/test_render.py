@@ -27,6 +27,8 @@ from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.render import _task
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 SIZE = (9, 11)
 FILTERS: list[Filter] = [
     mcaa.Box(),
