@@ -43,7 +43,7 @@ class Sums:
 
     plain: Tensor
     signed: Tensor | None
-    buffers: list[tuple[Tensor, Tensor | None]] = field(default_factory=list)
+    buffers: dict[int, list[tuple[Tensor, Tensor | None]]] = field(default_factory=dict)
 
 
 class Splat:
@@ -105,33 +105,33 @@ class Splat:
             new(blocks, term.matrix.shape[1], width), None if term.signed is None else new(blocks, term.signed.shape[1], width)
         )
         strips = (blocks - 1) * self.block_strips + self.at.depth
-        for _ in self.batches[0].terms:
-            # strips without samples stay 0
-            shape = (strips, self.batches[0].count, width)
-            sums.buffers.append((new(shape), new(shape) if self.contrast else None))
+        # strips without samples stay 0; the last batch, which may have fewer planes, has buffers of its own
+        for count in {batch.count for batch in self.batches}:
+            shape = (strips, count, width)
+            sums.buffers[count] = [(new(shape), new(shape) if self.contrast else None) for _ in self.batches[0].terms]
         return sums
 
     def weigh(self, sums: Sums, batch: Batch, group: int, samples: Tensor) -> None:
         """Weigh the samples (strips, planes, cols) of a batch's group along x."""
         planes = slice(group * self.group, group * self.group + samples.shape[1])
-        for term, (plain, signed) in zip(batch.terms, sums.buffers, strict=True):
+        for term, (plain, signed) in zip(batch.terms, sums.buffers[batch.count], strict=True):
             taps, out = term.taps[group], plain[self.at.lead : self.at.lead + self.at.strips, planes]
             if signed is None:
                 self._along_x(samples, taps, range(-self.reach, self.reach + 1), out)
                 continue
             # the sums over even and odd k give both the plain and the signed ones
+            other = signed[self.at.lead : self.at.lead + self.at.strips, planes]
             self._along_x(samples, taps, range(-self.reach + self.reach % 2, self.reach + 1, 2), out)
-            odd = torch.empty_like(out)
-            self._along_x(samples, taps, range(-self.reach + 1 - self.reach % 2, self.reach + 1, 2), odd)
-            torch.sub(out, odd, out=signed[self.at.lead : self.at.lead + self.at.strips, planes])
-            out.add_(odd)
+            self._along_x(samples, taps, range(-self.reach + 1 - self.reach % 2, self.reach + 1, 2), other)
+            out.add_(other)
+            torch.add(out, other, alpha=-2, out=other)
 
     def add(self, sums: Sums, batch: Batch) -> None:
         """Add a weighed batch to the sums along y."""
-        for term, (plain, signed) in zip(batch.terms, sums.buffers, strict=True):
-            sums.plain.baddbmm_(term.matrix.expand(self.at.blocks, -1, -1), self._by_block(plain, batch.count))
+        for term, (plain, signed) in zip(batch.terms, sums.buffers[batch.count], strict=True):
+            sums.plain.baddbmm_(term.matrix.expand(self.at.blocks, -1, -1), self._by_block(plain))
             if signed is not None and term.signed is not None and sums.signed is not None:
-                sums.signed.baddbmm_(term.signed.expand(self.at.blocks, -1, -1), self._by_block(signed, batch.count))
+                sums.signed.baddbmm_(term.signed.expand(self.at.blocks, -1, -1), self._by_block(signed))
 
     def finish(self, sums: Sums) -> tuple[Tensor, Tensor | None]:
         """The values (h, w), and the sums (h, w) of the three squared character sums."""
@@ -164,10 +164,8 @@ class Splat:
         if empty:
             out.zero_()
 
-    def _by_block(self, weighed: Tensor, planes: int) -> Tensor:
+    def _by_block(self, weighed: Tensor) -> Tensor:
         """(blocks, depth x planes, columns): overlapping views of the strips of each block."""
-        _, capacity, width = weighed.shape
-        if planes < capacity:
-            weighed, capacity = weighed[:, :planes].contiguous(), planes
-        strides = (self.block_strips * capacity * width, width, 1)
-        return weighed.as_strided((self.at.blocks, self.at.depth * capacity, width), strides)
+        _, planes, width = weighed.shape
+        strides = (self.block_strips * planes * width, width, 1)
+        return weighed.as_strided((self.at.blocks, self.at.depth * planes, width), strides)
