@@ -15,11 +15,13 @@ from torch_mcaa.errors import McaaError
 Function = Callable[[Tensor, Tensor], Any]
 Nonfinite = Literal["raise", "ignore", "propagate"]
 
-# One call of f sees at most this many points: they stay in the cache, and PyTorch, whose grain is 2^15 elements, cuts them in two at most.
-BLOCK = 2**16
-# A call's points are a multiple of this, so that the two parts are whole vectors and no loop over points has a tail of scalars: in the
-# tail atan2, sigmoid and pow give other last bits, and where it lies would depend on the number of threads.
+# PyTorch cuts loops of over 2^15 elements into equal parts, at most four for a block. A block's points are a multiple of 12 x 256, so that
+# every part of every number of threads is whole vectors and no loop over points has a tail of scalars: in the tail atan2, sigmoid and pow
+# give other last bits, and where it lies would depend on the number of threads.
+_GRAIN = 2**15
 _WHOLE = 256
+# One call of f sees at most this many points: few enough to stay in the cache, enough to pay for the call.
+BLOCK = 4 * _GRAIN // (12 * _WHOLE) * (12 * _WHOLE)
 
 
 @dataclass
@@ -101,9 +103,10 @@ def from_points(network: Callable[[Tensor], Tensor]) -> Function:
 
 
 def _flat(places: Tensor, shape: torch.Size) -> Tensor:
-    """The places in one row, the last one repeated up to a multiple of `_WHOLE`."""
+    """The places in one row, the last one repeated until the row is whole."""
     count = shape.numel()
-    row = places.new_empty(-(-count // _WHOLE) * _WHOLE)
+    whole = _WHOLE if count <= _GRAIN else 12 * _WHOLE
+    row = places.new_empty(-(-count // whole) * whole)
     row[:count].view(shape).copy_(places)
     if len(row) > count:
         row[count:].copy_(row[count - 1 : count])

@@ -12,7 +12,7 @@ from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK
 
 # planes are weighed along x in blocks of f's size, and summed along y once for so many blocks: fewer, longer products
-_BLOCKS_A_BATCH = 4
+_BLOCKS_A_BATCH = 2
 
 
 @dataclass(frozen=True)
