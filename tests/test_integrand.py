@@ -451,3 +451,10 @@ def test_numpy_scalars_are_described_in_one_piece() -> None:
     with pytest.raises(McaaError, match="got ndarray") as caught:
         mcaa.render(lambda x, y: np.zeros(1000), SIZE)
     assert len(str(caught.value)) < 400
+
+
+def test_a_network_is_asked_in_the_dtype_of_its_parameters() -> None:
+    network = torch.nn.Linear(2, 2)
+    picture = mcaa.render(mcaa.from_points(network), (4, 5), dtype=torch.float64)
+    assert picture.image.dtype == torch.float64
+    assert picture.image.shape == (2, 4, 5)

@@ -799,3 +799,13 @@ def test_what_an_object_with_other_methods_means() -> None:
             return x
 
     assert mcaa.render(Lamp(), SIZE).image.shape == (1, *SIZE)
+
+
+def test_a_picture_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(McaaError, match="300000 x 300000 pixels in 1 channels does not fit"):
+        mcaa.render(constant, (300_000, 300_000))
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    picture = mcaa.render(constant, SIZE, spp=np.int64(4), tolerance=np.float32(0.5), seconds=np.float64(100))  # type: ignore[arg-type]
+    assert picture.stopped == "tolerance"

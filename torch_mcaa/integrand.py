@@ -89,12 +89,17 @@ class Integrand:
 def from_points(network: Callable[[Tensor], Tensor]) -> Function:
     """Adapt a function on points, (N, 2) -> (N, C) or (N,), to f(x, y).
 
+    A module with parameters is given points of their dtype.
+
     Raises:
         McaaError: when called, if `network` returns anything but (N, C) or (N,).
     """
 
+    parameter = next(network.parameters(), None) if isinstance(network, torch.nn.Module) else None
+
     def f(x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
-        out = network(torch.stack([x.reshape(-1), y.reshape(-1)], -1))
+        points = torch.stack([x.reshape(-1), y.reshape(-1)], -1)
+        out = network(points if parameter is None else points.to(parameter.dtype))
         if not isinstance(out, Tensor) or out.ndim not in (1, 2) or out.shape[0] != x.numel():
             raise McaaError(f"a function on points must return (N, C) or (N,) with N = {x.numel()}, got {_describe(out)}")
         return tuple(channel.reshape(x.shape) for channel in out.reshape(x.numel(), -1).unbind(-1))

@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Literal
 
 import torch
@@ -37,7 +38,7 @@ class Tolerance:
 
     def __post_init__(self) -> None:
         for name, value in (("absolute", self.absolute), ("relative", self.relative)):
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < 0:
+            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value) or value < 0:
                 raise McaaError(f"the {name} tolerance must be a number of at least 0, got {value!r}")
         if self.absolute == 0 and self.relative == 0:
             raise McaaError("a tolerance must be above 0, got 0; for instance tolerance=1e-3")
@@ -102,9 +103,9 @@ def render(
     task = _task(f, screen, Gaussian(0.5) if filter is None else filter, boundary, nonfinite, seed, dtype, device, extent is None)
     if not isinstance(chosen, Estimator):
         raise McaaError(f"estimator must be an estimator such as Auto() or Shared(), got {chosen!r}")
-    if isinstance(spp, bool) or not isinstance(spp, int) or spp < 1:
+    if isinstance(spp, bool) or not isinstance(spp, Integral) or spp < 1:
         raise McaaError(f"spp must be an integer of at least 1, got {spp!r}")
-    if seconds is not None and not (isinstance(seconds, (int, float)) and seconds > 0):
+    if seconds is not None and not (isinstance(seconds, Real) and seconds > 0):
         raise McaaError(f"seconds must be above 0, got {seconds!r}")
     if compile not in ("auto", False):
         raise McaaError(f"compile must be 'auto' or False, got {compile!r}")
@@ -283,6 +284,15 @@ class _Work:
 
 def _blank(screen: Screen, channels: int, task: Task) -> Estimate:
     shape = (channels, screen.height, screen.width)
+    try:
+        return _empty(shape, task)
+    except RuntimeError as error:
+        raise McaaError(
+            f"a picture of {screen.height} x {screen.width} pixels in {channels} channels does not fit into memory; ask for a smaller size"
+        ) from error
+
+
+def _empty(shape: tuple[int, int, int], task: Task) -> Estimate:
     counts = torch.zeros(2, *shape[1:], dtype=torch.int32, device=task.device)
     return Estimate(
         torch.full(shape, torch.nan, dtype=task.dtype, device=task.device),

@@ -57,8 +57,9 @@ class Jittered(Pattern):
 def strata(n: int) -> tuple[int, int]:
     """(rows, columns) with rows <= columns <= 2 rows and the largest product <= n; the squarest of those."""
     check_count(n)
-    shapes = ((a, min(n // a, 2 * a)) for a in range(1, math.isqrt(n) + 1))
-    return max(shapes, key=lambda shape: (shape[0] * shape[1], shape[0]))
+    shapes = [(a, min(n // a, 2 * a)) for a in range(1, math.isqrt(n) + 1)]
+    _, rows, columns = max([(a * b, a, b) for a, b in shapes])
+    return rows, columns
 
 
 def neighbour_variance(terms: Tensor) -> Tensor:
