@@ -91,6 +91,10 @@ def from_points(network: Callable[[Tensor], Tensor]) -> Function:
 
     A module with parameters is given points of their dtype.
 
+    >>> f = from_points(lambda points: points.sum(-1))
+    >>> f(torch.tensor([1.0, 2.0]), torch.tensor([10.0, 20.0]))
+    (tensor([11., 22.]),)
+
     Raises:
         McaaError: when called, if `network` returns anything but (N, C) or (N,).
     """

@@ -96,6 +96,13 @@ def render(
         McaaError: an argument that cannot be used, or an f that breaks its contract; the message says which, what was received, the mend.
 
     Ctrl-C ends the work and returns what is done, with a `McaaWarning`; pixels without a value are NaN.
+
+    >>> import torch, torch_mcaa as mcaa
+    >>> picture = mcaa.render(lambda x, y: (torch.hypot(x - 8, y - 8) < 5).float(), (16, 16), spp=16)
+    >>> tuple(picture.image.shape), picture.stopped
+    ((1, 16, 16), 'spp')
+    >>> abs(float(picture.image.sum()) - 25 * torch.pi) < 0.5
+    True
     """
     start = time.perf_counter()
     chosen = Auto() if estimator is None else estimator
