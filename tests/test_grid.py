@@ -199,3 +199,15 @@ def test_extents_that_float32_cannot_hold(scale: float) -> None:
     picture = mcaa.render(lambda x, y: x.double() / scale, (8, 8), extent=(0, scale, 0, scale))
     exact = (torch.arange(8) + 0.5) / 8
     assert float((picture.image[0] - exact).abs().max()) < 2e-3
+
+
+def test_centres_of_sub_pixels() -> None:
+    """(24): b = L / (N m) (m h + j + 1/2), here with L = (6, 4), N = (3, 2), m = (2, 3)."""
+    x, y = Screen.of((2, 3), (0.0, 6.0, 0.0, 4.0)).centres(strata=(2, 3))
+    assert x.tolist() == [6 / (3 * 2) * (2 * h + j + 0.5) for h in range(3) for j in range(2)]
+    torch.testing.assert_close(
+        y, torch.tensor([4 / (2 * 3) * (3 * h + j + 0.5) for h in range(2) for j in range(3)], dtype=torch.float64)
+    )
+    inner = Screen.of((2, 3), (0.0, 6.0, 0.0, 4.0)).centres(Cell(1, 2, 1, 1), strata=(2, 3))
+    assert torch.equal(inner[0], x[4:])
+    assert torch.equal(inner[1], y[3:])

@@ -79,11 +79,15 @@ class Screen:
         """f's y of float64 screen rows (pixels)."""
         return self.extent[2] + self.pixel_size[1] * row
 
-    def centres(self, cell: Cell | None = None) -> tuple[Tensor, Tensor]:
-        """(23): float64 coordinates (width,) and (height,) of the centres of a cell's pixels, of all pixels by default."""
+    def centres(self, cell: Cell | None = None, strata: tuple[int, int] = (1, 1)) -> tuple[Tensor, Tensor]:
+        """(23): float64 coordinates (width,) and (height,) of the centres of a cell's pixels, of all pixels by default.
+
+        With `strata` = (m1, m2), (24): (m1 width,) and (m2 height,) of the centres of the m1 x m2 sub-pixels of each, in order.
+        """
         cell = cell or Cell(0, 0, self.height, self.width)
-        cols = torch.arange(cell.col, cell.col + cell.width, dtype=torch.float64) + 0.5
-        rows = torch.arange(cell.row, cell.row + cell.height, dtype=torch.float64) + 0.5
+        m1, m2 = strata
+        cols = (torch.arange(m1 * cell.col, m1 * (cell.col + cell.width), dtype=torch.float64) + 0.5) / m1
+        rows = (torch.arange(m2 * cell.row, m2 * (cell.row + cell.height), dtype=torch.float64) + 0.5) / m2
         return self.x_of(cols), self.y_of(rows)
 
     def coordinate_dtype(self, cell: Cell, dtype: torch.dtype) -> torch.dtype:

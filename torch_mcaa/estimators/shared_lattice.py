@@ -46,7 +46,7 @@ class LatticeRound(Round):
         splat = self._splat(cell, at)
         value, power, extra, left, invalid = self._sums(cell, at, splat, None)
         if invalid is not None:
-            # samples that are not finite count as 0; the share of the weights, or of their moduli, that is left
+            # samples that are not finite count as 0; each pixel learns what share of its weights, or of their moduli, is left
             weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
             masks = Splat(weights, cell, at, contrast=False)
             value, power, extra, left, invalid = self._sums(cell, at, splat, masks)
