@@ -809,3 +809,13 @@ def test_a_picture_that_does_not_fit_is_refused() -> None:
 def test_numbers_of_numpy_are_numbers() -> None:
     picture = mcaa.render(constant, SIZE, spp=np.int64(4), tolerance=np.float32(0.5), seconds=np.float64(100))  # type: ignore[arg-type]
     assert picture.stopped == "tolerance"
+
+
+def test_a_round_without_a_point_does_not_spoil_the_next() -> None:
+    """A box of 0.3 px meets no point of the first four in some pixels, and one of the later ones in all but few."""
+    once = mcaa.render(constant, SIZE, filter=mcaa.Box(0.3), spp=4).image.isnan()
+    picture = mcaa.render(constant, SIZE, filter=mcaa.Box(0.3), spp=256, tolerance=1e-9)
+    assert bool(once.any())
+    assert bool(picture.image.isfinite().all())
+    assert bool(picture.stderr.isfinite().all())
+    assert float((picture.image - 0.7).abs().max()) < 1e-5

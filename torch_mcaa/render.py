@@ -271,8 +271,14 @@ class _Work:
             picture.value[window], picture.variance[window] = new.value, new.variance
         else:
             share = weight / (old + weight)
-            picture.value[window] += (new.value - picture.value[window]) * share
-            picture.variance[window] = picture.variance[window] * (1 - share) ** 2 + new.variance * share**2
+            value, variance = picture.value[window], picture.variance[window]
+            merged = value + (new.value - value) * share
+            spread = variance * (1 - share) ** 2 + new.variance * share**2
+            if self.task.integrand.nonfinite != "propagate":
+                # a round in which no sample met the pixel's filter says nothing about it
+                for empty, other in ((value.isnan(), new), (new.value.isnan(), Estimate(value, variance, new.points, new.invalid))):
+                    merged, spread = torch.where(empty, other.value, merged), torch.where(empty, other.variance, spread)
+            picture.value[window], picture.variance[window] = merged, spread
         self.weights[index] = old + weight
         picture.points[cell.window] += new.points
         picture.invalid[cell.window] += new.invalid
