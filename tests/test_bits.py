@@ -10,7 +10,7 @@ import torch
 
 import torch_mcaa as mcaa
 from torch_mcaa.grid import Screen
-from torch_mcaa.render import _task
+from torch_mcaa.arguments import task_of
 
 PROGRAM = """
 import hashlib, sys, torch, torch_mcaa as mcaa
@@ -50,7 +50,7 @@ def test_order_of_work_does_not_change_a_bit(chosen: mcaa.Auto, boundary: str):
 
     size = (300, 270) if isinstance(chosen, mcaa.Auto) else (70, 90)
     picture = mcaa.render(f, size, estimator=chosen, boundary=boundary, spp=7, seed=5)  # type: ignore[arg-type]
-    task = _task(f, Screen.of(size), mcaa.Gaussian(0.5), boundary, "raise", 5, torch.float32, None)
+    task = task_of(f, Screen.of(size), mcaa.Gaussian(0.5), boundary, "raise", 5, torch.float32, None)
     with torch.no_grad():
         for cell in reversed(list(task.screen.cells(*chosen.cell(task, False)))):
             estimate = chosen.round(task, 7, 0).estimate(cell)

@@ -20,11 +20,11 @@ ROOT = Path(torch_mcaa.__file__).parent
 # A module imports from floors below its own; the files of one folder import each other without a circle.
 FLOORS = (
     {"errors"},
-    {"rng"},
+    {"rng", "moments", "allocation"},
     {"grid", "filters", "patterns"},
     {"densities", "integrand", "texture", "scenes"},
     {"estimators"},
-    {"progress", "rendering"},
+    {"progress", "rendering", "tolerance", "arguments", "picture"},
     {"render"},
     {"image_io"},
     {"demo", "cli"},

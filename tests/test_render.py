@@ -25,7 +25,7 @@ from torch_mcaa import progress as progress_module
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell, Screen
-from torch_mcaa.render import _task
+from torch_mcaa.arguments import task_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -399,7 +399,7 @@ def test_tolerance_spends_where_it_is_needed() -> None:
 def test_rounds_are_merged_by_their_numbers_of_evaluations() -> None:
     """Rounds of 4, 8 and 16: weights n^1.5, whatever the values."""
     picture = mcaa.render(wild, SIZE, estimator=mcaa.Importance(), tolerance=1e-9, spp=28, seed=3, dtype=torch.float64)
-    task = _task(wild, Screen.of(SIZE), mcaa.Gaussian(0.5), "extend", "raise", 3, torch.float64, None)
+    task = task_of(wild, Screen.of(SIZE), mcaa.Gaussian(0.5), "extend", "raise", 3, torch.float64, None)
     rounds = [mcaa.Importance().round(task, n, k).estimate(Cell(0, 0, *SIZE)) for k, n in enumerate((4, 8, 16))]
     weights = [n**1.5 / sum(m**1.5 for m in (4, 8, 16)) for n in (4, 8, 16)]
     value = torch.stack([w * r.value for w, r in zip(weights, rounds)]).sum(0)

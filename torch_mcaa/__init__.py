@@ -1,8 +1,9 @@
 """Any function f(x, y) -> colour to an anti-aliased picture with the standard error of every pixel, in PyTorch."""
 
-from torch_mcaa.densities import FilterDensity, Normal
+from torch_mcaa.allocation import EqualVariance, Neyman, Uniform
+from torch_mcaa.densities import FilterDensity, Histogram, Mixture, Normal
 from torch_mcaa.errors import McaaError, McaaWarning
-from torch_mcaa.estimators import Auto, Importance, Shared
+from torch_mcaa.estimators import AdaptiveImportance, Auto, Crude, Importance, OrderedStrata, Shared, Stratified
 from torch_mcaa.filters import (
     BlackmanHarris,
     Box,
@@ -16,19 +17,24 @@ from torch_mcaa.filters import (
 )
 from torch_mcaa.integrand import from_points
 from torch_mcaa.patterns import Independent, Jittered, Lattice, MultiJittered, Sobol
-from torch_mcaa.render import Tolerance, render
+from torch_mcaa.render import render
 from torch_mcaa.rendering import Rendering
 from torch_mcaa.texture import Texture
+from torch_mcaa.tolerance import Tolerance
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "AdaptiveImportance",
     "Auto",
     "BlackmanHarris",
     "Box",
     "CatmullRom",
+    "Crude",
+    "EqualVariance",
     "FilterDensity",
     "Gaussian",
+    "Histogram",
     "Importance",
     "Independent",
     "Jittered",
@@ -37,16 +43,21 @@ __all__ = [
     "McaaError",
     "McaaWarning",
     "Mitchell",
+    "Mixture",
     "MultiJittered",
+    "Neyman",
     "Normal",
+    "OrderedStrata",
     "Rendering",
     "Shared",
     "Sinc",
     "Sobol",
+    "Stratified",
     "Tabulated",
     "Tent",
     "Texture",
     "Tolerance",
+    "Uniform",
     "from_points",
     "render",
 ]

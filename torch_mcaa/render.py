@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 import warnings
 from collections.abc import Sequence
@@ -13,40 +12,24 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torch_mcaa.allocation import Uniform
+from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError, McaaWarning
-from torch_mcaa.estimators import Auto, Estimate, Estimator, Round, Task
+from torch_mcaa.estimators import Auto, Estimate, Estimator, Pixelwise, PixelwiseRound, Round, Task
+from torch_mcaa.estimators.base import pooled
 from torch_mcaa.filters import Filter, Gaussian
 from torch_mcaa.grid import Cell, Screen
-from torch_mcaa.integrand import Function, Integrand, Nonfinite
+from torch_mcaa.integrand import Function, Nonfinite
+from torch_mcaa.picture import add, blank
 from torch_mcaa.progress import Progress, Report
 from torch_mcaa.rendering import Rendering, Stopped
-from torch_mcaa.texture import Texture
+from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 4
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """How far off a pixel may be: by `absolute`, or `relative` times its modulus, whichever is larger.
-
-    Raises:
-        McaaError: a tolerance that is negative or not finite, or neither above 0.
-    """
-
-    absolute: float = 0.0
-    relative: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name, value in (("absolute", self.absolute), ("relative", self.relative)):
-            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value) or value < 0:
-                raise McaaError(f"the {name} tolerance must be a number of at least 0, got {value!r}")
-        if self.absolute == 0 and self.relative == 0:
-            raise McaaError("a tolerance must be above 0, got 0; for instance tolerance=1e-3")
-
-    def met(self, value: Tensor, variance: Tensor) -> bool:
-        """Whether every pixel's standard error is within the tolerance."""
-        allowed = (self.relative * value.abs()).clamp_min(self.absolute)
-        return bool((variance <= allowed * allowed).all())
+_PILOT_SHARE = 4
+"""One part in so many of the evaluations is the pilot that an allocation is made from."""
+_CAP = 64
+"""What one pixel may be given by an estimated variance, in evaluations over the mean: a tail that was met once does not draw them all."""
 
 
 def render(
@@ -107,7 +90,7 @@ def render(
     start = time.perf_counter()
     chosen = Auto() if estimator is None else estimator
     screen = Screen.of(size, extent)
-    task = _task(f, screen, Gaussian(0.5) if filter is None else filter, boundary, nonfinite, seed, dtype, device, extent is None)
+    task = task_of(f, screen, Gaussian(0.5) if filter is None else filter, boundary, nonfinite, seed, dtype, device, extent is None)
     if not isinstance(chosen, Estimator):
         raise McaaError(f"estimator must be an estimator such as Auto() or Shared(), got {chosen!r}")
     if isinstance(spp, bool) or not isinstance(spp, Integral) or spp < 1:
@@ -132,62 +115,42 @@ def render(
             stopped = "interrupted"
         finally:
             bar.close()
-    picture = work.picture()
+    return _rendering(work, stopped, time.perf_counter() - start)
+
+
+def _rendering(work: _Work, stopped: Stopped, seconds: float) -> Rendering:
+    picture, task = work.picture(), work.task
+    bias = list(work.estimator.bias(task))
+    if work.number > 1 and (work.tolerance is not None or work.deadline is not None):
+        bias.append("rounds ended where the samples themselves said so")
+    if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
+        bias.append("samples that were not finite were left out")
+    diagnostics = picture.diagnostics
+    if diagnostics is not None:
+        heavy = int((diagnostics.pareto_k > 0.5).sum())
+        if heavy:
+            warnings.warn(
+                f"in {heavy} pixels the samples look as if f had no second moment (pareto_k above 0.5): their standard error is +inf; "
+                "clamp f, take more samples, or another density",
+                McaaWarning,
+                stacklevel=3,
+            )
     return Rendering(
         image=picture.value,
         stderr=picture.variance.sqrt_(),
         spp=picture.points,
         invalid=picture.invalid,
-        model=torch.zeros(screen.height, screen.width, dtype=torch.uint8, device=task.device),
-        models=(repr(chosen),),
+        model=torch.zeros(task.screen.height, task.screen.width, dtype=torch.uint8, device=task.device),
+        models=(repr(work.estimator),),
         evaluations=task.integrand.evaluations,
-        seconds=time.perf_counter() - start,
+        seconds=seconds,
         stopped=stopped,
+        bias=tuple(bias),
+        predicted_variance=None if diagnostics is None else diagnostics.predicted,
+        ess=None if diagnostics is None else diagnostics.ess,
+        pareto_k=None if diagnostics is None else diagnostics.pareto_k,
+        predicted_optimum=work.predicted_optimum,
     )
-
-
-def _task(
-    f: Function,
-    screen: Screen,
-    filter: Filter,
-    boundary: str,
-    nonfinite: str,
-    seed: int,
-    dtype: torch.dtype,
-    device: torch.device | str | None,
-    placed_once: bool = True,
-) -> Task:
-    if not callable(f):
-        raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}; wrap an image in Texture(image)")
-    if isinstance(f, type):
-        raise McaaError(f"f must be a function of two tensors x, y, got the class {f.__name__}; pass an instance of it")
-    if not isinstance(filter, Filter):
-        raise McaaError(f"filter must be a filter such as Gaussian(0.5) or Box(), got {filter!r}")
-    if boundary not in ("extend", "zero", "renormalize"):
-        raise McaaError(f"boundary must be 'extend', 'zero' or 'renormalize', got {boundary!r}")
-    if nonfinite not in ("raise", "ignore", "propagate"):
-        raise McaaError(f"nonfinite must be 'raise', 'ignore' or 'propagate', got {nonfinite!r}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64:
-        raise McaaError(f"seed must be an integer from 0 to 2^64 - 1, got {seed!r}")
-    if dtype not in (torch.float32, torch.float64):
-        raise McaaError(f"dtype must be torch.float32 or torch.float64, got {dtype}; f itself may return any real dtype")
-    if math.isinf(max(filter.radius)) and boundary != "zero":
-        raise McaaError(
-            f"{filter} reaches over the whole plane, where |w| has no finite integral, so no estimate of it has a finite variance; "
-            f"got boundary={boundary!r}: pass boundary='zero', or take Lanczos(3)"
-        )
-    try:
-        placed = torch.empty(0, device="cpu" if device is None else device).device
-    except (RuntimeError, TypeError, AssertionError) as error:
-        raise McaaError(
-            f"device {device!r} cannot be used: {str(error).splitlines()[0]}; pass device='cpu' or one that is there"
-        ) from error
-    if placed.type == "meta":
-        raise McaaError("device 'meta' cannot be used: it holds no values; pass device='cpu'")
-    bound = f
-    if placed_once and isinstance(f, Texture):
-        bound = f.on((screen.height, screen.width))
-    return Task(screen, Integrand(bound, dtype, nonfinite), filter, boundary, seed, dtype, placed)
 
 
 @dataclass
@@ -202,6 +165,8 @@ class _Work:
     bar: Progress
     cells: Sequence[Cell] = field(init=False)
     weights: list[float] = field(init=False)
+    number: int = field(default=0, init=False)
+    predicted_optimum: float | None = field(default=None, init=False)
     _picture: Estimate | None = field(default=None, init=False)
     _spent: float = field(default=0.0, init=False)
 
@@ -209,27 +174,37 @@ class _Work:
         adaptive = self.tolerance is not None or self.deadline is not None
         self.cells = list(self.task.screen.cells(*self.estimator.cell(self.task, adaptive)))
         self.weights = [0.0] * len(self.cells)
-        self.pilot = max(self.estimator.fewest, min(self.spp, _PILOT)) if adaptive else self.spp
+        chosen = self.estimator
+        self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
+        self.single = not adaptive and (not self.allocated or self._known is not None)
+        self.pilot = self.spp
+        if not self.single:
+            self.pilot = max(chosen.fewest, min(self.spp, _PILOT) if adaptive else self.spp // _PILOT_SHARE)
+            if self.allocated and self.spp < self.pilot + chosen.fewest:
+                raise McaaError(
+                    f"{chosen} has a pilot of {self.pilot} evaluations a pixel and then at least {chosen.fewest}, got spp = {self.spp}; "
+                    f"raise spp to {self.pilot + chosen.fewest} or more, or take allocation=Uniform()"
+                )
 
     def run(self) -> Stopped:
         """Rounds until the tolerance is met, or the evaluations or the time are spent.
 
-        Each round asks for a fixed number of evaluations in each pixel of the cells that are not done: twice what the round before
-        asked for, while the cap and the time allow it.
+        Each round asks for a fixed number of evaluations in each pixel of the cells that are not done, or shares out as many by the
+        estimator's allocation: twice what the round before asked for, while the cap and the time allow it.
         """
         active = list(range(len(self.cells)))
         pixels = self.task.screen.height * self.task.screen.width
-        asked, number = self.pilot, 0
+        asked = self.pilot
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
-            current = self._affordable(asked, number, active)
+            current = self._round(asked, active)
             for done, index in enumerate(active):
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
                 self._add(index, current.estimate(self.cells[index]), current.per_pixel)
-                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if number else (done + 1) / len(active))
-            number += 1
-            if self.tolerance is None and self.deadline is None:
+                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else (done + 1) / len(active))
+            self.number += 1
+            if self.single:
                 return "spp"
             if self.tolerance is not None:
                 active = [index for index in active if not self._met(index)]
@@ -248,40 +223,73 @@ class _Work:
                 if asked < self.estimator.fewest:
                     return "seconds"
 
-    def _affordable(self, asked: int, number: int, active: Sequence[int]) -> Round:
-        """The round of at most `asked` evaluations a pixel whose points fit under the cap; a cut pattern can hold more than its share."""
-        left = self.spp * self.task.screen.height * self.task.screen.width - self._spent
+    def _round(self, asked: int, active: Sequence[int]) -> Round:
+        """The next round, of at most `asked` evaluations a pixel and with all its points under the cap."""
+        left = int(self.spp * self.task.screen.height * self.task.screen.width - self._spent)
+        if self.allocated and (self.number or self._known is not None):
+            return self._shared_out(asked, left, active)
         while True:
-            current = self.estimator.round(self.task, asked, number)
+            current = self.estimator.round(self.task, asked, self.number)
+            # a cut pattern can hold more than its share
             if asked == self.estimator.fewest or sum(current.points(self.cells[index]) for index in active) <= left:
                 return current
             asked -= 1
 
+    @property
+    def _known(self) -> Tensor | None:
+        return getattr(self.estimator.allocation, "known", None) if isinstance(self.estimator, Pixelwise) else None
+
+    def _shared_out(self, asked: int, left: int, active: Sequence[int]) -> Round:
+        """A round whose evaluations the estimator's allocation shares out over the pixels of the active cells."""
+        chosen, screen = self.estimator, self.task.screen
+        assert isinstance(chosen, Pixelwise)
+        inside = torch.zeros(screen.height, screen.width, dtype=torch.bool, device=self.task.device)
+        for index in active:
+            inside[self.cells[index].window] = True
+        pixels = int(inside.sum())
+        total = left if left < (asked + 1) * pixels else asked * pixels
+        if self._known is not None and self._known.shape != inside.shape:
+            raise McaaError(
+                f"the known variances of {chosen.allocation} have shape {tuple(self._known.shape)}, the picture {tuple(inside.shape)}"
+            )
+        spread = self._known.to(inside.device) if self._known is not None else self._spread()
+        cap = None if self._known is not None else _CAP * -(-total // pixels)
+        shares = chosen.allocation.counts(spread[inside][None], total, chosen.fewest, cap)
+        self.predicted_optimum = chosen.allocation.predicted(spread[inside][None], total)
+        counts = torch.zeros_like(inside, dtype=torch.int64)
+        counts[inside] = shares[0].to(torch.int64)
+        return PixelwiseRound(chosen, self.task, total / pixels, self.number, counts)
+
+    def _spread(self) -> Tensor:
+        """(H, W) float64: the variance of one evaluation, the mean over the channels, as far as the rounds so far tell.
+
+        Pooled over 3 x 3 pixels, and with one more observation of the variance that half the range of the values would have: a flat
+        pilot of n points says that the variance is small, not that it is 0.
+        """
+        assert self._picture is not None and self._picture.diagnostics is not None
+        n = self._picture.points.to(torch.float64)
+        value = self._picture.value.to(torch.float64).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
+        half = ((value.amax((1, 2)) - value.amin((1, 2))) / 2).square()[:, None, None]
+        own = self._picture.diagnostics.predicted.to(torch.float64) * n
+        return ((9 * n * pooled(own) + half) / (9 * n + 1)).mean(0)
+
     def _add(self, index: int, new: Estimate, points: float) -> None:
-        """Merge a round into the picture with weights fixed by the numbers of evaluations alone, so that no value chooses its weight.
+        """Merge a round into the picture, by default with weights fixed by the rounds' sizes alone, so that no value chooses its weight.
 
         n^1.5 is the inverse variance of a shared pattern on edges.
         """
-        screen, cell = self.task.screen, self.cells[index]
+        cell = self.cells[index]
         if self._picture is None:
-            self._picture = _blank(screen, len(new.value), self.task)
-        picture, window = self._picture, (slice(None), *cell.window)
+            self._picture = blank(self.task, len(new.value), new.diagnostics is not None)
         old, weight = self.weights[index], points**1.5
-        if old == 0:
-            picture.value[window], picture.variance[window] = new.value, new.variance
-        else:
-            share = weight / (old + weight)
-            value, variance = picture.value[window], picture.variance[window]
-            merged = value + (new.value - value) * share
-            spread = variance * (1 - share) ** 2 + new.variance * share**2
-            if self.task.integrand.nonfinite != "propagate":
-                # a round in which no sample met the pixel's filter says nothing about it
-                for empty, other in ((value.isnan(), new), (new.value.isnan(), Estimate(value, variance, new.points, new.invalid))):
-                    merged, spread = torch.where(empty, other.value, merged), torch.where(empty, other.variance, spread)
-            picture.value[window], picture.variance[window] = merged, spread
+        combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
+        share: float | Tensor | None = weight / (old + weight)
+        if old == 0 or combine == "discard_pilot":
+            share = None
+        elif combine == "pooled":
+            share = new.points / (new.points + self._picture.points[cell.window])
+        add(self._picture, cell, new, share, self.task.integrand.nonfinite == "propagate")
         self.weights[index] = old + weight
-        picture.points[cell.window] += new.points
-        picture.invalid[cell.window] += new.invalid
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
@@ -292,24 +300,4 @@ class _Work:
 
     def picture(self) -> Estimate:
         """The picture so far; all NaN, in one channel, if not even one cell was done."""
-        return self._picture or _blank(self.task.screen, max(1, self.task.integrand.channels), self.task)
-
-
-def _blank(screen: Screen, channels: int, task: Task) -> Estimate:
-    shape = (channels, screen.height, screen.width)
-    try:
-        return _empty(shape, task)
-    except RuntimeError as error:
-        raise McaaError(
-            f"a picture of {screen.height} x {screen.width} pixels in {channels} channels does not fit into memory; ask for a smaller size"
-        ) from error
-
-
-def _empty(shape: tuple[int, int, int], task: Task) -> Estimate:
-    counts = torch.zeros(2, *shape[1:], dtype=torch.int32, device=task.device)
-    return Estimate(
-        torch.full(shape, torch.nan, dtype=task.dtype, device=task.device),
-        torch.full(shape, torch.inf, dtype=task.dtype, device=task.device),
-        counts[0],
-        counts[1],
-    )
+        return self._picture or blank(self.task, max(1, self.task.integrand.channels), False)

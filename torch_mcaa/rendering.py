@@ -30,6 +30,14 @@ class Rendering:
         evaluations: every point f was called on, margins included.
         seconds: wall time.
         stopped: what ended the work.
+        bias: why the mean of `image` over seeds may differ from (1), a line a reason; empty when it is unbiased.
+        predicted_variance: (C, H, W) the variance of `image` that theory gives, (10) or (12), its second moments estimated from the same
+            points; what independent points would have. None for shared points, for which no formula gives one.
+        ess: (H, W) float32 effective sample size of the weights w / w'; None for shared points.
+        pareto_k: (H, W) float32 tail index of the weighted values, NaN where too few points tell; from 1/2 on there is no second
+            moment, and `stderr` is +inf. None for shared points.
+        predicted_optimum: what an `allocation` promised for its last round: (15), (20) the variance common to all pixels under
+            `EqualVariance`, the sum of the variances under `Neyman`; None without.
     """
 
     image: Tensor
@@ -41,6 +49,11 @@ class Rendering:
     evaluations: int
     seconds: float
     stopped: Stopped
+    bias: tuple[str, ...] = ()
+    predicted_variance: Tensor | None = None
+    ess: Tensor | None = None
+    pareto_k: Tensor | None = None
+    predicted_optimum: float | None = None
 
     def interval(self, level: float = 0.95) -> tuple[Tensor, Tensor]:
         """The (C, H, W) ends of the confidence interval of each pixel: image -+ z stderr, with z the normal quantile of `level`.

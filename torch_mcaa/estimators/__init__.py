@@ -1,7 +1,26 @@
 """Estimators of (1): from points to values and variances."""
 
-from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
-from torch_mcaa.estimators.importance import Importance
+from torch_mcaa.estimators.adaptive_importance import AdaptiveImportance
+from torch_mcaa.estimators.base import Diagnostics, Estimate, Estimator, Round, Task
+from torch_mcaa.estimators.importance import Crude, Importance
+from torch_mcaa.estimators.ordered_strata import OrderedStrata
+from torch_mcaa.estimators.pixelwise import Pixelwise, PixelwiseRound
 from torch_mcaa.estimators.shared import Auto, Shared
+from torch_mcaa.estimators.stratified import Stratified
 
-__all__ = ["Auto", "Estimate", "Estimator", "Importance", "Round", "Shared", "Task"]
+__all__ = [
+    "AdaptiveImportance",
+    "Auto",
+    "Crude",
+    "Diagnostics",
+    "Estimate",
+    "Estimator",
+    "Importance",
+    "OrderedStrata",
+    "Pixelwise",
+    "PixelwiseRound",
+    "Round",
+    "Shared",
+    "Stratified",
+    "Task",
+]

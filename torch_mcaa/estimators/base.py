@@ -31,6 +31,21 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Diagnostics:
+    """What the importance weights of one round say about each pixel.
+
+    Attributes:
+        predicted: (C, h, w) the variance that the theory gives the value, in the task's dtype.
+        ess: (h, w) float32 effective sample size.
+        pareto_k: (h, w) float32 tail index of the terms, NaN where nothing can be said.
+    """
+
+    predicted: Tensor
+    ess: Tensor
+    pareto_k: Tensor
+
+
+@dataclass(frozen=True)
 class Estimate:
     """One round's result in one cell.
 
@@ -39,12 +54,14 @@ class Estimate:
         variance: (C, h, w) estimated variance of `value`; never 0.
         points: (h, w) int32, the evaluations of f that lie in each pixel.
         invalid: (h, w) int32, how many of them were not finite.
+        diagnostics: of estimators that draw points for each pixel, else None.
     """
 
     value: Tensor
     variance: Tensor
     points: Tensor
     invalid: Tensor
+    diagnostics: Diagnostics | None = None
 
 
 class Round(ABC):
@@ -78,6 +95,10 @@ class Estimator(ABC):
             McaaError: for instance a filter whose modulus is not integrable, or a boundary that it would need.
         """
 
+    def bias(self, task: Task) -> tuple[str, ...]:
+        """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
+        return ()
+
     @abstractmethod
     def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
         """(height, width) of the canonical cells; smaller where the number of evaluations may differ between cells."""
@@ -93,7 +114,7 @@ def pooled(variance: Tensor) -> Tensor:
     return torch.maximum(around, variance)
 
 
-def settled(variance: Tensor, value: Tensor, spp: float) -> Tensor:
+def settled(variance: Tensor, value: Tensor, spp: float | Tensor) -> Tensor:
     """The variance, in place, with a floor for what no sample met, so that it is never 0 by ignorance; +inf where there is no value.
 
     The floor is the square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a

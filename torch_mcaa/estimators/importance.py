@@ -1,25 +1,29 @@
-"""Importance sampling, (6), one pixel at a time."""
+"""Importance sampling, (6), and crude Monte Carlo, (4), one pixel at a time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 
 from torch_mcaa.densities import Density, FilterDensity
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, pooled, settled
-from torch_mcaa.estimators.points import evaluate_points
-from torch_mcaa.filters import SeparableFilter
-from torch_mcaa.grid import Cell
-from torch_mcaa.patterns import Pattern, Sobol
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise
+from torch_mcaa.estimators.tail import pareto_k
+from torch_mcaa.estimators.weights import check_weights
+from torch_mcaa.filters import Box
+from torch_mcaa.moments import Moments
+from torch_mcaa.patterns import Independent, Pattern, Sobol
 
 
-@dataclass(frozen=True)
-class Importance(Estimator):
+@dataclass(frozen=True, repr=False)
+class Importance(Pixelwise):
     """(6): (g, rho) = (w f / (w' n), w'), each pixel with its own points.
 
-    Unbiased. The standard error is the pattern's own; it is the larger of the pixel's and its 3 x 3 neighbours' mean.
+    Unbiased. The standard error is the pattern's own; it is the larger of the pixel's and its 3 x 3 neighbours' mean. Predicted is (10),
+    the variance of as many independent points.
 
     Attributes:
         pattern: where in the unit square the points lie.
@@ -29,70 +33,73 @@ class Importance(Estimator):
     pattern: Pattern = field(default_factory=Sobol)
     density: Density | None = None
 
-    @property
-    def fewest(self) -> int:
-        return 1
+    def count(self, spp: int) -> int:
+        return self.pattern.count(spp)
 
     def check(self, task: Task) -> None:
+        super().check(task)
         density = self._density(task)
-        if not density.covers(task.filter):
-            raise McaaError(
-                f"{density} is 0 where {task.filter} is not, which would be a silent bias; use a density that covers the filter"
-            )
-        if task.boundary == "renormalize" and not isinstance(task.filter, SeparableFilter):
-            raise McaaError(
-                f"boundary='renormalize' needs the integral of w over the screen, known for separable filters only, not {task.filter}; use Shared"
-            )
+        check_weights(task, density, repr(density))
 
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
-        return (32, 32) if adaptive else (64, 64)
-
-    def round(self, task: Task, spp: int, number: int) -> Round:
-        return _ImportanceRound(task, self.pattern, self._density(task), self.pattern.count(spp), number)
+    def draw(self, pixels: Pixels, n: int) -> Drawn:
+        u, v = pixels.points(self.pattern, n)
+        density = self._density(pixels.task)
+        dx, dy = density.sample(u, v)
+        weight = pixels.task.filter(dx, dy) / density.pdf(dx, dy)
+        values, valid = pixels.evaluate(dx, dy)
+        return weighted(values * weight, weight, valid, self.pattern, u, v)
 
     def _density(self, task: Task) -> Density:
         return FilterDensity(task.filter) if self.density is None else self.density
 
 
-class _ImportanceRound(Round):
-    def __init__(self, task: Task, pattern: Pattern, density: Density, count: int, number: int) -> None:
-        self.task, self.pattern, self.density, self.count, self.number = task, pattern, density, count, number
-        self.per_pixel = float(count)
+@dataclass(frozen=True, repr=False)
+class Crude(Pixelwise):
+    """Crude Monte Carlo, (4): independent uniform points in the pixel itself, g = w f / n with n points a square pixel.
 
-    def points(self, cell: Cell) -> int:
-        return self.count * cell.height * cell.width
+    Unbiased when the support of w lies in the pixel.
 
-    def estimate(self, cell: Cell) -> Estimate:
-        task = self.task
-        rows = torch.arange(cell.row, cell.row + cell.height, device=task.device)
-        cols = torch.arange(cell.col, cell.col + cell.width, device=task.device)
-        u, v = self.pattern.points(self.count, rows, cols, seed=task.seed, round=self.number, dtype=torch.float64)
-        dx, dy = self.density.sample(u, v)
-        weight = (task.filter(dx, dy) / self.density.pdf(dx, dy)).to(task.dtype)
-        values, _, bad = evaluate_points(task, cell, cols + (0.5 + dx), rows[:, None] + (0.5 + dy))
-        terms = values * weight / self.count
-        invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
-        if bad is not None:
-            invalid = bad.sum(0, dtype=torch.int32)
-            left = self.count - invalid
-            terms = terms * torch.where(left > 0, self.count / left.clamp_min(1).to(task.dtype), torch.nan)
-        value = terms.sum(1)
-        variance = torch.stack([self.pattern.variance(channel, u, v) for channel in terms])
-        if task.boundary == "renormalize":
-            norm = self._inside(cell)
-            value, variance = value / norm, variance / norm.square()
-        if bad is not None and task.integrand.nonfinite == "propagate":
-            value = torch.where(invalid > 0, torch.nan, value)
-        points = torch.full_like(invalid, self.count)
-        return Estimate(value, settled(pooled(variance), value, self.count), points, invalid)
+    Attributes:
+        biased_ok: with any other w, run all the same with c = 1 / n as most renderers do, which is the box of the pixel whatever w
+            is. `Rendering.bias` says so.
+    """
 
-    def _inside(self, cell: Cell) -> torch.Tensor:
-        """(h, w): the integral of w over the screen, of each pixel."""
-        task = self.task
-        assert isinstance(task.filter, SeparableFilter)
-        cdf = task.filter.profile_cdf
-        cols = torch.arange(cell.col, cell.col + cell.width, dtype=torch.float64) + 0.5
-        rows = torch.arange(cell.row, cell.row + cell.height, dtype=torch.float64) + 0.5
-        along_x = cdf(task.screen.width - cols) - cdf(-cols)
-        along_y = cdf(task.screen.height - rows) - cdf(-rows)
-        return (along_y[:, None] * along_x).to(task.device, task.dtype)
+    biased_ok: bool = False
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        if not self.biased_ok and not _within_pixel(task):
+            raise McaaError(
+                f"Crude samples the pixel alone, and {task.filter} reaches {max(task.filter.radius):g} px from its centre, "
+                "so the estimate would be biased; use Box(), Importance(), or Crude(biased_ok=True) to have it all the same"
+            )
+
+    def bias(self, task: Task) -> tuple[str, ...]:
+        reason = f"Crude: {task.filter} reaches beyond the pixel; this is the box of the pixel"
+        return super().bias(task) + (() if _within_pixel(task) else (reason,))
+
+    def draw(self, pixels: Pixels, n: int) -> Drawn:
+        u, v = pixels.points(Independent(), n)
+        dx, dy = u - 0.5, v - 0.5
+        weight = pixels.task.filter(dx, dy) if _within_pixel(pixels.task) else Box()(dx, dy)
+        values, valid = pixels.evaluate(dx, dy)
+        return weighted(values * weight, weight, valid, Independent(), u, v)
+
+
+def weighted(terms: Tensor, weight: Tensor, valid: Tensor | None, pattern: Pattern, u: Tensor, v: Tensor) -> Drawn:
+    """The mean of terms (C, n, P) that a pattern's points u, v (n, P) gave, with weights w / w' (n, P)."""
+    n = len(weight)
+    moments = Moments.of(terms, 1, valid)
+    shares = (terms if valid is None else torch.where(valid, terms, 0)) / moments.count.clamp_min(1)[..., None, :]
+    variance = torch.stack([pattern.variance(channel, u, v) for channel in shares])
+    invalid = torch.zeros_like(weight[0]) if valid is None else n - valid.sum(0)
+    return Drawn(moments.mean, variance, moments.variance_of_mean, effective(weight), pareto_k(terms), invalid)
+
+
+def effective(weight: Tensor) -> Tensor:
+    """(P,): the effective sample size of weights (n, P), Kish's (sum |w|)^2 / sum w^2; 0 where all are 0."""
+    return (weight.abs().sum(0).square() / weight.square().sum(0)).nan_to_num(nan=0.0)
+
+
+def _within_pixel(task: Task) -> bool:
+    return max(task.filter.radius) <= 0.5

@@ -47,6 +47,9 @@ class Shared(Estimator):
                 f"{task.filter} reaches over the whole screen, which only Shared(Lattice()) can afford; got {self.pattern}"
             )
 
+    def bias(self, task: Task) -> tuple[str, ...]:
+        return ("the weights of shared points are divided by their sum, a ratio: the bias is small beside the standard error",)
+
     def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
         if math.isinf(max(task.filter.radius)):
             return task.screen.height, task.screen.width
@@ -72,6 +75,9 @@ class Auto(Estimator):
 
     def check(self, task: Task) -> None:
         Shared().check(task)
+
+    def bias(self, task: Task) -> tuple[str, ...]:
+        return Shared().bias(task)
 
     def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
         return Shared().cell(task, adaptive)

@@ -30,9 +30,9 @@ class Pattern(ABC):
     ) -> tuple[Tensor, Tensor]:
         """u, v, each (n, R, C) of `dtype` (float32 or float64) in [0, 1).
 
-        rows, cols: integer tensors (R,) and (C,) of pixel coordinates, in any order, negative ones too. seed:
-        int in [0, 2**64). round: int, a new randomisation for each. Raises McaaError where n is not
-        `count(n)` or an argument cannot be used.
+        rows, cols: integer tensors of pixel coordinates, in any order, negative ones too: (R,) and (C,) for all pixels of a grid, or both
+        (R, C) for R C pixels of any kind. seed: int in [0, 2**64). round: int, a new randomisation for each. Raises McaaError where n
+        is not `count(n)` or an argument cannot be used.
         """
 
     @abstractmethod
@@ -53,17 +53,22 @@ def check_count(n: int) -> None:
 def check_points(pattern: Pattern, n: int, rows: Tensor, cols: Tensor, dtype: torch.dtype) -> None:
     if pattern.count(n) != n:
         raise McaaError(f"{pattern} has no set of {n} points: ask for count({n}) = {pattern.count(n)}")
-    if rows.dim() != 1 or cols.dim() != 1:
+    if not (rows.dim() == cols.dim() == 1 or (rows.dim() == 2 and rows.shape == cols.shape)):
         shapes = f"{tuple(rows.shape)} and {tuple(cols.shape)}"
-        raise McaaError(f"rows and cols must have shapes (R,) and (C,), received {shapes}: flatten them")
+        raise McaaError(f"rows and cols must have shapes (R,) and (C,), or one shape (R, C), received {shapes}: flatten them")
     if dtype not in (torch.float32, torch.float64):
         raise McaaError(f"dtype must be torch.float32 or torch.float64, received {dtype}: convert after")
+
+
+def grid(rows: Tensor, cols: Tensor) -> tuple[Tensor, Tensor]:
+    """Row and column of each pixel, of shapes that broadcast to (R, C), from either form of a pattern's arguments."""
+    return (rows[:, None], cols[None, :]) if rows.dim() == 1 else (rows, cols)
 
 
 def jitter(stream: int, n: int, rows: Tensor, cols: Tensor, seed: int, round: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """Two independent uniform numbers a point, each (n, R, C). `stream`: a key of the pattern's own."""
     index = torch.arange(n, device=rows.device)[:, None, None]
-    u, v = (rng.uniform(seed, stream, axis, round, rows[:, None], cols, index, dtype=dtype) for axis in (0, 1))
+    u, v = (rng.uniform(seed, stream, axis, round, *grid(rows, cols), index, dtype=dtype) for axis in (0, 1))
     return u, v
 
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.patterns.base import Pattern, check_count, check_points
+from torch_mcaa.patterns.base import Pattern, check_count, check_points, grid
 from torch_mcaa.patterns.lattice_search import best_generator, ranked_generators, reduced_basis
 from torch_mcaa.patterns.lattice_table import STRIPS
 
@@ -65,7 +65,7 @@ class Lattice(Pattern):
         check_points(self, n, rows, cols, dtype)
         generator = best_generator(n, 1)
         index = torch.arange(n, dtype=torch.float64, device=rows.device)[:, None, None]
-        shift = [rng.uniform(seed, rows[:, None], cols[None, :], round, axis, dtype=torch.float64) for axis in (0, 1)]
+        shift = [rng.uniform(seed, *grid(rows, cols), round, axis, dtype=torch.float64) for axis in (0, 1)]
         u, v = torch.remainder(index * generator, n) / n + shift[0], index / n + shift[1]
         below_one = 1 - torch.finfo(dtype).eps / 2
         return torch.frac(u).to(dtype).clamp_(max=below_one), torch.frac(v).to(dtype).clamp_(max=below_one)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.patterns.base import Pattern, check_points, clamp_below_one, jitter
+from torch_mcaa.patterns.base import Pattern, check_points, clamp_below_one, grid, jitter
 from torch_mcaa.patterns.jittered import neighbour_variance, strata
 
 __all__ = ["MultiJittered"]
@@ -40,7 +40,7 @@ class MultiJittered(Pattern):
         row, column = (torch.arange(m, device=rows.device)[:, None, None] for m in (height, width))
         u, v = (jittered.unflatten(0, (height, width)) for jittered in jitter(_STREAM, n, rows, cols, seed, round, dtype))
         fine_column, fine_row = (
-            _ranks(rng.bits(seed, _STREAM, axis, round, rows[:, None], cols, cells)).to(dtype)
+            _ranks(rng.bits(seed, _STREAM, axis, round, *grid(rows, cols), cells)).to(dtype)
             for axis, cells in ((2, row), (3, column))
         )
         u.add_(fine_column[:, None]).div_(height).add_(column).div_(width)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.patterns.base import Pattern, check_count, check_points, independent_variance
+from torch_mcaa.patterns.base import Pattern, check_count, check_points, grid, independent_variance
 from torch_mcaa.patterns.jittered import neighbour_variance, strata
 
 __all__ = ["Sobol"]
@@ -38,7 +38,7 @@ class Sobol(Pattern):
     ) -> tuple[Tensor, Tensor]:
         check_points(self, n, rows, cols, dtype)
         index = torch.arange(n, dtype=torch.int32, device=rows.device)
-        keys = (rng.bits(seed, _STREAM, axis, round, rows[:, None], cols).to(torch.int32) for axis in (0, 1))
+        keys = (rng.bits(seed, _STREAM, axis, round, *grid(rows, cols)).to(torch.int32) for axis in (0, 1))
         u, v = (_fraction(_scramble(words, key), dtype) for words, key in zip((index, _second_axis(index)), keys, strict=True))
         return u, v
 

@@ -1,0 +1,329 @@
+"""How many evaluations each pixel, and each stratum of a pixel, gets: whole numbers with exact totals and floors.
+
+Equations are those of Halton, Monte Carlo Anti-Aliasing. "The variance" of a pixel is that of one evaluation, λ_h − φ_h² of (10), so
+that n_h evaluations leave variance / n_h. Where a pixel has strata that are themselves shared out by (16), [Σ_j √(μ_hj − φ_h²)]² / m²
+in its place turns (14) into (19) and (15) into (20).
+
+Every count is the same, bit for bit, for any number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import final
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.errors import McaaError
+
+__all__ = ["Allocation", "EqualVariance", "Neyman", "Uniform", "strata_counts"]
+
+_MOST = 2**48
+"""Bound on a total: below it whole float64 numbers add up exactly in any order, and a threshold's last bit moves no count by 2."""
+
+
+class Allocation(ABC):
+    """How the evaluations of a round are shared out over the pixels.
+
+    In every `variance`, NaN and +inf (a second moment that is not there) count as the largest finite value, or as 1 where there is
+    none, so that one pixel does not draw everything.
+    """
+
+    @abstractmethod
+    def counts(self, variance: Tensor, total: int, floor: int = 1, cap: int | None = None) -> Tensor:
+        """Evaluations of each pixel, (H, W) int64, adding up to `total`, each at least `floor` and at most `cap`.
+
+        Args:
+            variance: (H, W) real and not negative, the variance of one evaluation in each pixel; only ratios matter.
+            total: evaluations of the whole picture.
+            floor: the fewest that a pixel gets, at least 1.
+            cap: the most that a pixel gets; None for no bound.
+
+        Raises:
+            McaaError: no such counts exist, or an argument of the wrong kind, shape or sign.
+        """
+
+    @abstractmethod
+    def predicted(self, variance: Tensor, total: int) -> float:
+        """What the theory promises for `total` evaluations shared out in real numbers, without floor or cap.
+
+        Raises:
+            McaaError: an argument of the wrong kind, shape or sign.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class _Greedy(Allocation):
+    """`floor` everywhere, then one evaluation at a time to the pixel below `cap` that gains most; even where there is no variance.
+
+    Attributes:
+        known: (H, W) variance of one evaluation in each pixel where it is known beforehand, for instance stderr**2 * spp of the
+            frame before; rendering then needs no pilot. Kept as a float64 copy.
+
+    Raises:
+        McaaError: `known` is not (H, W), real, finite and not negative.
+    """
+
+    known: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        if self.known is None:
+            return
+        if not isinstance(self.known, Tensor):
+            raise McaaError(
+                f"known must be a (H, W) tensor, got {type(self.known).__name__}: pass for instance frame.stderr**2 * spp"
+            )
+        values = _picture("known", self.known)
+        if not values.isfinite().all():
+            bad = int((~values.isfinite()).sum())
+            raise McaaError(
+                f"known must be finite, got {bad} values of {values.numel()} that are not: put the largest finite one there"
+            )
+        object.__setattr__(self, "known", values.clone())
+
+    @abstractmethod
+    def _gain(self, variance: Tensor, n: Tensor) -> Tensor:
+        """What the step from n to n + 1 is worth; it falls with n."""
+
+    @abstractmethod
+    def _reach(self, ratio: Tensor) -> Tensor:
+        """The real n at which the gain is the threshold, given variance / threshold; may work in place."""
+
+    def counts(self, variance: Tensor, total: int, floor: int = 1, cap: int | None = None) -> Tensor:
+        variance = _usable(variance)
+        cap = _check_total(variance, total, floor, cap)
+        drawing = variance > 0
+        full = int(drawing.sum())
+        if full * cap + (variance.numel() - full) * floor <= total:
+            return _even(~drawing, total - full * cap).masked_fill_(drawing, cap)
+        # A power of two changes no quotient's digits; the bound keeps the smallest within reach of the lowest threshold.
+        scale = 2.0 ** (math.frexp(variance.max().item())[1] - 1)
+        variance = torch.where(drawing, (variance / scale).clamp_(min=2.0**-900), 0)
+
+        def taken(threshold: float) -> Tensor:
+            return self._reach(variance / threshold).ceil_().clamp_(floor, cap)
+
+        low, high = 2.0**-1000, 2.0
+        many, few = taken(low), taken(high)
+        while (many - few).max() > 1:
+            middle = math.sqrt(low) * math.sqrt(high)
+            counts = taken(middle)
+            if counts.sum() > total:
+                low, many = middle, counts
+            else:
+                high, few = middle, counts
+        places = _spread_places(many > few)
+        gains = self._gain(variance.view(-1)[places], few.view(-1)[places])
+        counts = few.to(torch.int64)
+        left = total - int(counts.sum())
+        counts.view(-1)[places[gains.argsort(descending=True, stable=True)[:left]]] += 1
+        return counts
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class EqualVariance(_Greedy):
+    """n_h ∝ variance, (14): every pixel the same variance, which is the least that the largest can be.
+
+    The largest variance / n_h is least over all whole counts within floor and cap, then the next largest, and so on.
+    """
+
+    def _gain(self, variance: Tensor, n: Tensor) -> Tensor:
+        return variance / n
+
+    def _reach(self, ratio: Tensor) -> Tensor:
+        return ratio
+
+    def predicted(self, variance: Tensor, total: int) -> float:
+        """(15), the common variance of all pixels: Σ variance / total."""
+        _check_whole("total", total, 1)
+        return _sum(_usable(variance)) / total
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Neyman(_Greedy):
+    """n_h ∝ √variance (Neyman 1934): the least sum of the pixels' variances, that is the least mean squared error.
+
+    Σ variance / n_h is least over all whole counts within floor and cap.
+    """
+
+    def _gain(self, variance: Tensor, n: Tensor) -> Tensor:
+        return variance / (n * (n + 1))
+
+    def _reach(self, ratio: Tensor) -> Tensor:
+        return ratio.mul_(4).add_(1).sqrt_().sub_(1).div_(2)
+
+    def predicted(self, variance: Tensor, total: int) -> float:
+        """The least sum of the pixels' variances: (Σ √variance)² / total, as (17) has it for strata."""
+        _check_whole("total", total, 1)
+        return _sum(_usable(variance).sqrt()) ** 2 / total
+
+
+@final
+@dataclass(frozen=True)
+class Uniform(Allocation):
+    """The same for every pixel, whatever its variance; what does not divide is spread evenly over the picture."""
+
+    def counts(self, variance: Tensor, total: int, floor: int = 1, cap: int | None = None) -> Tensor:
+        variance = _usable(variance)
+        _check_total(variance, total, floor, cap)
+        return _even(torch.ones_like(variance, dtype=torch.bool), total)
+
+    def predicted(self, variance: Tensor, total: int) -> float:
+        """The sum of the pixels' variances, to compare with Neyman's: (10) with n_h = total / pixels."""
+        _check_whole("total", total, 1)
+        return _sum(_usable(variance)) * variance.numel() / total
+
+
+def strata_counts(spread: Tensor, total: Tensor | int, floor: int = 1) -> Tensor:
+    """Evaluations of each stratum of every pixel, (16): proportional to `spread`, in whole numbers.
+
+    Shares below `floor` are raised to it and the rest shared out again; then every share is rounded down and what is left goes to the
+    largest remainders, ties in an order that rotates from pixel to pixel. With no spread in a pixel its strata get the same. Strata
+    whose spread is NaN or +inf count as the largest finite one of their pixel.
+
+    Args:
+        spread: (m, *S) real and not negative, √(μ_hj − φ_h²) of each of m strata; only ratios within a pixel matter.
+        total: evaluations of every pixel, or (*S) int64 of each.
+        floor: the fewest that a stratum gets, at least 0.
+
+    Returns:
+        (m, *S) int64 that adds up to `total` over dim 0.
+
+    Raises:
+        McaaError: a total below m * floor, or an argument of the wrong kind, shape or sign.
+    """
+    if spread.ndim < 1 or spread.numel() == 0:
+        raise McaaError(f"spread must be (strata, *pixels), got {tuple(spread.shape)}: pass at least one stratum of one pixel")
+    share = _real("spread", spread)
+    strata, pixels = share.shape[0], share.shape[1:]
+    _check_whole("floor", floor, 0)
+    wanted = _strata_total(total, pixels, share.device)
+    least, most = int(wanted.min()), int(wanted.max())
+    if least < strata * floor or most > _MOST:
+        raise McaaError(
+            f"total must be from {strata * floor} ({strata} strata of at least {floor}) to 2**48 in every pixel, got {least} to {most}: "
+            f"raise spp to at least {strata * floor}, or use fewer strata"
+        )
+    largest = share.amax(0)
+    if not largest.isfinite().all():
+        known = share.isfinite()
+        largest = share.masked_fill(~known, 0).amax(0).masked_fill_(~known.any(0), 1)
+        share = torch.where(known, share, largest)
+    share = (share / largest).masked_fill_(largest == 0, 1)
+    pinned = torch.zeros_like(share, dtype=torch.bool)
+    while True:
+        # torch promises no order for sum(0) that does not depend on the threads.
+        unit = (wanted - floor * _planes(pinned)) / _planes(share)
+        exact = (share * unit).masked_fill_(pinned, floor)
+        low = exact < floor
+        if not low.any():
+            break
+        pinned |= low
+        share.masked_fill_(low, 0)
+    whole = exact.floor()
+    counts = whole.to(torch.int64)
+    left = wanted - counts.sum(0)
+    remainder = exact.sub_(whole).masked_fill_(pinned, -1)
+    first = (torch.arange(pixels.numel(), device=share.device) % strata).reshape(pixels)
+    rank = torch.zeros_like(counts, dtype=torch.int32)
+    for j in range(strata):
+        for i in range(j):
+            ahead = torch.where((first > i) & (first <= j), remainder[i] > remainder[j], remainder[i] >= remainder[j])
+            rank[j] += ahead
+            rank[i] += ~ahead
+    return counts.add_(rank < left)
+
+
+def _even(chosen: Tensor, total: int) -> Tensor:
+    """`total` shared out evenly over the chosen pixels, 0 elsewhere; (H, W) int64."""
+    places = _spread_places(chosen)
+    each, more = divmod(total, max(places.numel(), 1))
+    counts = chosen.to(torch.int64) * each
+    counts.view(-1)[places[:more]] += 1
+    return counts
+
+
+def _spread_places(chosen: Tensor) -> Tensor:
+    """Flat indices of the chosen pixels of (H, W), in an order whose every beginning is spread evenly over the picture.
+
+    The order of the fractional parts of row / g + column / g², g**3 = g + 1 (Roberts, "The unreasonable effectiveness of quasirandom
+    sequences", 2018), in 32 bits.
+    """
+    height, width = chosen.shape
+    rows = torch.arange(height, device=chosen.device)[:, None] * 3242174889
+    key = (rows + torch.arange(width, device=chosen.device) * 2447445414) & 0xFFFFFFFF
+    places = chosen.reshape(-1).nonzero().squeeze(1)
+    return places[key.view(-1)[places].argsort(stable=True)]
+
+
+def _planes(tensor: Tensor) -> Tensor:
+    """The sum over dim 0, in order."""
+    total = torch.zeros(tensor.shape[1:], dtype=torch.float64, device=tensor.device)
+    for plane in tensor:
+        total += plane
+    return total
+
+
+def _sum(variance: Tensor) -> float:
+    """The sum, the same for any number of threads: torch adds pieces of this size in one thread."""
+    return math.fsum(piece.sum().item() for piece in variance.reshape(-1).split(16384))
+
+
+def _real(name: str, values: Tensor) -> Tensor:
+    if values.is_complex() or values.dtype == torch.bool:
+        raise McaaError(f"{name} must be real numbers, got {values.dtype}: convert to torch.float64")
+    if (values < 0).any():
+        raise McaaError(f"{name} must not be negative, got {values.min().item():g}: clamp at 0")
+    return values.detach().to(torch.float64).contiguous()
+
+
+def _picture(name: str, variance: Tensor) -> Tensor:
+    if variance.ndim != 2 or variance.numel() == 0:
+        raise McaaError(f"{name} must be (H, W), one value a pixel, got {tuple(variance.shape)}: combine the channels first")
+    return _real(name, variance)
+
+
+def _usable(variance: Tensor) -> Tensor:
+    variance = _picture("variance", variance)
+    finite = variance.isfinite()
+    if finite.all():
+        return variance
+    largest = variance[finite].max().item() if finite.any() else 1.0
+    return torch.where(finite, variance, largest)
+
+
+def _check_whole(name: str, value: object, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise McaaError(f"{name} must be a whole number >= {least}, got {value!r}: pass an int")
+
+
+def _check_total(variance: Tensor, total: int, floor: int, cap: int | None) -> int:
+    """The cap, or what bounds every pixel where there is none."""
+    for name, value in (("total", total), ("floor", floor), ("cap", total if cap is None else cap)):
+        _check_whole(name, value, 1)
+    pixels = variance.numel()
+    shown = f"{total} evaluations for {variance.shape[0]} x {variance.shape[1]} pixels"
+    if total < floor * pixels:
+        raise McaaError(f"{shown} are too few for {floor} in each: raise spp to at least {floor}")
+    if cap is not None and total > cap * pixels:
+        raise McaaError(f"{shown} are too many for at most {cap} in each: lower spp to at most {cap}, or raise the cap")
+    if total > _MOST:
+        raise McaaError(f"{shown} are more than 2**48: render the picture in parts")
+    return total if cap is None else cap
+
+
+def _strata_total(total: Tensor | int, pixels: torch.Size, device: torch.device) -> Tensor:
+    """`total` as (*S) int64."""
+    if not isinstance(total, Tensor):
+        _check_whole("total", total, 1)
+        return torch.full(pixels, total, dtype=torch.int64, device=device)
+    if total.shape != pixels or total.is_floating_point() or total.is_complex() or total.dtype == torch.bool:
+        raise McaaError(
+            f"total must be int64 of shape {tuple(pixels)}, got {total.dtype} of {tuple(total.shape)}: one number a pixel"
+        )
+    return total.to(device=device, dtype=torch.int64)

@@ -1,0 +1,188 @@
+"""What the paper's estimators have in common: each pixel draws its own points, as many as it is given."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import MISSING, dataclass, field, fields
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.allocation import Allocation, Uniform
+from torch_mcaa.errors import McaaError
+from torch_mcaa.estimators.base import Diagnostics, Estimate, Estimator, Round, Task, pooled, settled
+from torch_mcaa.estimators.points import evaluate_points
+from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import BLOCK
+from torch_mcaa.patterns import Pattern
+
+Combine = Literal["discard_pilot", "fixed", "pooled"]
+ROUNDS = 64
+"""Inner rounds that one round may have, each with points of its own."""
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """P pixels of a cell that draw the same number of points; rows and cols are int64 (P,)."""
+
+    task: Task
+    cell: Cell
+    rows: Tensor
+    cols: Tensor
+    number: int
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def points(self, pattern: Pattern, n: int, inner: int = 0) -> tuple[Tensor, Tensor]:
+        """u, v (n, P) in [0, 1), float64; another `inner` below `ROUNDS`, other points."""
+        seed, round = self.task.seed, self.number * ROUNDS + inner
+        u, v = pattern.points(n, self.rows[None], self.cols[None], seed=seed, round=round, dtype=torch.float64)
+        return u.squeeze(1), v.squeeze(1)
+
+    def evaluate(self, dx: Tensor, dy: Tensor) -> tuple[Tensor, Tensor | None]:
+        """f at (n, P) offsets from the pixels' centres: (C, n, P) float64, and where it was finite, or None if it was everywhere."""
+        values, _, bad = evaluate_points(self.task, self.cell, self.cols + (0.5 + dx), self.rows + (0.5 + dy))
+        return values.to(torch.float64), None if bad is None else ~bad
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What P pixels got from their points, float64.
+
+    Attributes:
+        value: (C, P) estimate of (1).
+        variance: (C, P) its estimated variance.
+        predicted: (C, P) the variance that the theory gives it: (10), (12), (17) with the second moments of the same points.
+        ess: (P,) effective sample size of the weights w / w', (sum |w / w'|)^2 / sum (w / w')^2.
+        pareto_k: (P,) tail index of the terms, NaN where nothing can be said.
+        invalid: (P,) how many values of f were not finite.
+    """
+
+    value: Tensor
+    variance: Tensor
+    predicted: Tensor
+    ess: Tensor
+    pareto_k: Tensor
+    invalid: Tensor
+
+
+@dataclass(frozen=True, repr=False)
+class Pixelwise(Estimator):
+    """An estimator whose pixels draw their own points, in rounds.
+
+    Attributes:
+        allocation: how the evaluations of the rounds after the first are shared out over the pixels.
+        combine: what becomes of the first round, the pilot. "fixed": rounds are averaged with weights known beforehand, unbiased;
+            "discard_pilot": only the last counts, unbiased; "pooled": weighted by the evaluations each pixel had, which the pilot
+            chose: biased, see `Rendering.bias`.
+    """
+
+    allocation: Allocation = field(default=Uniform(), kw_only=True)
+    combine: Combine = field(default="fixed", kw_only=True)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.allocation, Allocation):
+            raise McaaError(f"allocation must be Uniform(), EqualVariance() or Neyman(), got {self.allocation!r}")
+        if self.combine not in ("discard_pilot", "fixed", "pooled"):
+            raise McaaError(f"combine must be 'discard_pilot', 'fixed' or 'pooled', got {self.combine!r}")
+
+    def __repr__(self) -> str:
+        said = []
+        for each in fields(self):
+            value = getattr(self, each.name)
+            default = each.default if each.default_factory is MISSING else each.default_factory()
+            if value != default:
+                said.append(f"{each.name}={value.__name__ if isinstance(value, type) else repr(value)}")
+        return f"{type(self).__name__}({', '.join(said)})"
+
+    @property
+    def fewest(self) -> int:
+        return 1
+
+    def count(self, spp: int) -> int:
+        """The largest number of evaluations of at most `spp` that a pixel can have."""
+        return spp
+
+    def check(self, task: Task) -> None:
+        if task.boundary == "renormalize" and not isinstance(task.filter, SeparableFilter):
+            raise McaaError(
+                f"boundary='renormalize' needs the integral of w over the screen, known for separable filters only, not {task.filter}; use Shared"
+            )
+
+    def bias(self, task: Task) -> tuple[str, ...]:
+        if self.combine == "pooled" and not isinstance(self.allocation, Uniform):
+            return (f"combine='pooled': the pilot chose the numbers of evaluations that weigh it ({self.allocation})",)
+        return ()
+
+    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+        # with an allocation, cells large enough that pixels of one count are many
+        return (32, 32) if adaptive else (64, 64) if isinstance(self.allocation, Uniform) else (256, 256)
+
+    def round(self, task: Task, spp: int, number: int) -> Round:
+        return PixelwiseRound(self, task, spp, number)
+
+    @abstractmethod
+    def draw(self, pixels: Pixels, n: int) -> Drawn:
+        """Draw n points, `fewest` or more, in each of the pixels and estimate them."""
+
+
+class PixelwiseRound(Round):
+    """`spp` evaluations in each pixel, or `counts` (H, W) of them, whose mean is `spp`."""
+
+    def __init__(self, estimator: Pixelwise, task: Task, spp: float, number: int, counts: Tensor | None = None) -> None:
+        self.estimator, self.task, self.number, self.counts = estimator, task, number, counts
+        self.per_pixel = float(spp if counts is not None else estimator.count(int(spp)))
+
+    def points(self, cell: Cell) -> int:
+        return int(self._counts(cell).sum())
+
+    def estimate(self, cell: Cell) -> Estimate:
+        task, counts = self.task, self._counts(cell).reshape(-1)
+        rows = torch.arange(cell.row, cell.row + cell.height, device=task.device).repeat_interleave(cell.width)
+        cols = torch.arange(cell.col, cell.col + cell.width, device=task.device).repeat(cell.height)
+        order = counts.argsort(stable=True)
+        parts, start = [], 0
+        for n, pixels in zip(*(each.tolist() for each in counts.unique(return_counts=True)), strict=True):
+            step = max(1, BLOCK // n)
+            for first in range(start, start + pixels, step):
+                chosen = order[first : min(first + step, start + pixels)]
+                parts.append(self.estimator.draw(Pixels(task, cell, rows[chosen], cols[chosen], self.number), n))
+            start += pixels
+
+        def plane(name: str, dtype: torch.dtype) -> Tensor:
+            joined = torch.cat([getattr(part, name) for part in parts], -1)
+            placed = torch.empty_like(joined)
+            placed[..., order] = joined
+            return placed.unflatten(-1, (cell.height, cell.width)).to(dtype)
+
+        value, variance, predicted = (plane(name, torch.float64) for name in ("value", "variance", "predicted"))
+        invalid, tail = plane("invalid", torch.int32), plane("pareto_k", torch.float32)
+        variance = torch.where(tail > 0.5, torch.inf, variance)
+        if task.boundary == "renormalize":
+            norm = self._inside(cell)
+            value, variance, predicted = value / norm, variance / norm.square(), predicted / norm.square()
+        if task.integrand.nonfinite == "propagate":
+            value = torch.where(invalid > 0, torch.nan, value)
+        points = counts.unflatten(0, (cell.height, cell.width)).to(torch.int32)
+        variance = settled(pooled(variance), value, points)
+        diagnostics = Diagnostics(predicted.to(task.dtype), plane("ess", torch.float32), tail)
+        return Estimate(value.to(task.dtype), variance.to(task.dtype), points, invalid, diagnostics)
+
+    def _counts(self, cell: Cell) -> Tensor:
+        if self.counts is not None:
+            return self.counts[cell.window]
+        return torch.full((cell.height, cell.width), int(self.per_pixel), device=self.task.device)
+
+    def _inside(self, cell: Cell) -> Tensor:
+        """(h, w): the integral of w over the screen, of each pixel."""
+        task = self.task
+        assert isinstance(task.filter, SeparableFilter)
+        cdf = task.filter.profile_cdf
+        cols = torch.arange(cell.col, cell.col + cell.width, dtype=torch.float64) + 0.5
+        rows = torch.arange(cell.row, cell.row + cell.height, dtype=torch.float64) + 0.5
+        along_x = cdf(task.screen.width - cols) - cdf(-cols)
+        along_y = cdf(task.screen.height - rows) - cdf(-rows)
+        return (along_y[:, None] * along_x).to(task.device)

@@ -1,0 +1,63 @@
+"""Whether the terms of an estimate have a second moment at all."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+FEWEST = 10
+"""Terms in the tail, below which nothing is said."""
+_PROFILE = 20
+"""Values of the scale over which the likelihood is averaged."""
+
+
+def pareto_k(terms: Tensor) -> Tensor:
+    """(P,): the tail index k of terms (C, n, P), the largest of the channels: P(|term| > t) falls as t^(-1/k).
+
+    From 1/2 on there is no second moment, from 1 on no mean. The tail is the min(n / 5, 3 sqrt(n)) largest of the terms that are not 0, as
+    in Vehtari, Simpson, Gelman, Yao and Gabry ("Pareto smoothed importance sampling", 2024). The smaller of two estimates: theirs, that
+    of the generalised Pareto distribution by Zhang and Stephens (2009), which takes an edge of two colours for a heavy tail, and the
+    median over log 2 of the spacings j log(t_j / t_(j+1)), independent exponentials of mean k in a Pareto tail (Renyi, 1953), which
+    takes a normal tail for one. NaN where the tail has fewer than 10 terms, and where no term stands out (a square above a tenth of the
+    sum of the squares).
+
+    Measured, terms found to have no second moment of 64, 256 and 1024: .51, .79, .91 at k = 3/4; .01, 0, 0 at k = 1/4; .07, .01, 0 for
+    the square of a normal variable.
+    """
+    largest = torch.full_like(terms[0, 0], torch.nan)
+    squares = terms.square()
+    suspicious = (squares.amax(1) > 0.1 * squares.sum(1)) & (squares.amax(1) > 0)
+    for channel, pixels in zip(terms.abs(), suspicious, strict=True):
+        if bool(pixels.any()):
+            largest[pixels] = torch.fmax(largest[pixels], _index(channel[:, pixels]))
+    return largest
+
+
+def _index(terms: Tensor) -> Tensor:
+    """(P,) for the moduli of terms (n, P)."""
+    count = (terms > 0).sum(0)
+    size = torch.minimum(count // 5, (3 * count.sqrt()).to(torch.int64))
+    longest = min(len(terms) // 5, int(3 * math.sqrt(len(terms))))
+    if longest < FEWEST:
+        return torch.full_like(terms[0], torch.nan)
+    ordered = terms.topk(longest + 1, 0).values
+    rank = torch.arange(1, longest + 1, device=terms.device)[:, None]
+    inside = rank <= size
+    logs = ordered.clamp_min(torch.finfo(terms.dtype).tiny).log()
+    spacings = torch.where(inside, rank * (logs[:-1] - logs[1:]), torch.inf)
+    middle = spacings.sort(0).values.gather(0, ((size - 1).clamp_min(0) // 2)[None])[0] / math.log(2)
+    excess = torch.where(inside, ordered[:-1] - ordered.gather(0, size[None]), 0)
+    return torch.where(size >= FEWEST, torch.fmin(middle, _generalised_pareto(excess, size)), torch.nan)
+
+
+def _generalised_pareto(excess: Tensor, size: Tensor) -> Tensor:
+    """(P,): k of the `size` excesses over a threshold, (M, P) in falling order and 0 beyond; NaN where they are all equal."""
+    grid = torch.arange(1, _PROFILE + 1, dtype=excess.dtype, device=excess.device)[:, None]
+    quartile = excess.gather(0, (size * 3 // 4).clamp_max(len(excess) - 1)[None])[0]
+    theta = 1 / excess[0] + (1 - (_PROFILE / (grid - 0.5)).sqrt()) / (3 * quartile)
+    k = torch.log1p(-theta[:, None] * excess).sum(1) / size
+    likelihood = size * (torch.log(-theta / k) - k - 1)
+    theta = (theta * torch.softmax(likelihood.nan_to_num(nan=-torch.inf), 0)).sum(0)
+    return torch.log1p(-theta * excess).sum(0) / size

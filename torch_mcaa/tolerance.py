@@ -1,0 +1,35 @@
+"""How far off a pixel may be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+from torch import Tensor
+
+from torch_mcaa.errors import McaaError
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far off a pixel may be: by `absolute`, or `relative` times its modulus, whichever is larger.
+
+    Raises:
+        McaaError: a tolerance that is negative or not finite, or neither above 0.
+    """
+
+    absolute: float = 0.0
+    relative: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("absolute", self.absolute), ("relative", self.relative)):
+            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value) or value < 0:
+                raise McaaError(f"the {name} tolerance must be a number of at least 0, got {value!r}")
+        if self.absolute == 0 and self.relative == 0:
+            raise McaaError("a tolerance must be above 0, got 0; for instance tolerance=1e-3")
+
+    def met(self, value: Tensor, variance: Tensor) -> bool:
+        """Whether every pixel's standard error is within the tolerance."""
+        allowed = (self.relative * value.abs()).clamp_min(self.absolute)
+        return bool((variance <= allowed * allowed).all())
