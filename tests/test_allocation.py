@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torch_mcaa.allocation import Allocation, EqualVariance, Neyman, Uniform, strata_counts
+from torch_mcaa.allocation import Allocation, EqualVariance, Neyman, Uniform
 from torch_mcaa.errors import McaaError
+from torch_mcaa.strata import strata_counts
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

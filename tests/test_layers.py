@@ -21,7 +21,7 @@ ROOT = Path(torch_mcaa.__file__).parent
 FLOORS = (
     {"errors"},
     {"rng", "moments", "allocation"},
-    {"grid", "filters", "patterns"},
+    {"grid", "filters", "patterns", "strata"},
     {"densities", "integrand", "texture", "scenes"},
     {"estimators"},
     {"progress", "rendering", "tolerance", "arguments", "picture"},

@@ -20,8 +20,7 @@ from torch import Tensor
 from torch_mcaa.errors import McaaError
 from torch_mcaa.patterns import Independent, Jittered, Lattice, MultiJittered, Pattern, Sobol
 from torch_mcaa.patterns.base import clamp_below_one, independent_variance
-from torch_mcaa.patterns.jittered import neighbour_variance, strata
-from torch_mcaa.patterns.sobol import contrast_variance
+from torch_mcaa.patterns.jittered import curvature_variance, neighbour_variance, strata
 
 ALPHA = 1e-5
 PATTERNS: list[Pattern] = [Independent(), Jittered(), MultiJittered(), Sobol(), Lattice()]
@@ -421,9 +420,11 @@ def test_variance_formulas_by_hand() -> None:
     assert independent_variance(terms[:3]).item() == pytest.approx(3 / 2 * (16 + 1 + 25) / 9)
     # cells 1 2 4 8 over 3 0 5 7
     along, across = 1 + 4 + 16 + 9 + 25 + 4, 4 + 4 + 1 + 1
-    assert neighbour_variance(terms).item() == pytest.approx(8 / 2 * (along + across) / 10)
-    contrasts = [1 - 2 - 3 + 0, 2 - 4 - 0 + 5, 4 - 8 - 5 + 7]
-    assert contrast_variance(terms).item() == pytest.approx(8 / 4 * sum(c * c for c in contrasts) / 3)
+    cells = terms.unflatten(0, (2, 4))
+    assert neighbour_variance(cells).item() == pytest.approx(8 / 2 * (along + across) / 10)
+    # second differences 1 2 and 8 -3, first ones at the ends 1 4 and -3 2; the columns are nothing but ends, each counted twice
+    curved, ends = 1 + 4 + 64 + 9, 1 + 16 + 9 + 4
+    assert curvature_variance(cells).item() == pytest.approx(8 * (curved + ends + 2 * across) / (2 * 16 + 4 * 4))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])

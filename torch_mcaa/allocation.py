@@ -1,4 +1,4 @@
-"""How many evaluations each pixel, and each stratum of a pixel, gets: whole numbers with exact totals and floors.
+"""How many evaluations each pixel gets: whole numbers with exact totals and floors.
 
 Equations are those of Halton, Monte Carlo Anti-Aliasing. "The variance" of a pixel is that of one evaluation, λ_h − φ_h² of (10), so
 that n_h evaluations leave variance / n_h. Where a pixel has strata that are themselves shared out by (16), [Σ_j √(μ_hj − φ_h²)]² / m²
@@ -19,9 +19,7 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 
-__all__ = ["Allocation", "EqualVariance", "Neyman", "Uniform", "strata_counts"]
-
-_MOST = 2**48
+MOST = 2**48
 """Bound on a total: below it whole float64 numbers add up exactly in any order, and a threshold's last bit moves no count by 2."""
 
 
@@ -139,7 +137,7 @@ class EqualVariance(_Greedy):
 
     def predicted(self, variance: Tensor, total: int) -> float:
         """(15), the common variance of all pixels: Σ variance / total."""
-        _check_whole("total", total, 1)
+        check_whole("total", total, 1)
         return _sum(_usable(variance)) / total
 
 
@@ -159,7 +157,7 @@ class Neyman(_Greedy):
 
     def predicted(self, variance: Tensor, total: int) -> float:
         """The least sum of the pixels' variances: (Σ √variance)² / total, as (17) has it for strata."""
-        _check_whole("total", total, 1)
+        check_whole("total", total, 1)
         return _sum(_usable(variance).sqrt()) ** 2 / total
 
 
@@ -175,68 +173,8 @@ class Uniform(Allocation):
 
     def predicted(self, variance: Tensor, total: int) -> float:
         """The sum of the pixels' variances, to compare with Neyman's: (10) with n_h = total / pixels."""
-        _check_whole("total", total, 1)
+        check_whole("total", total, 1)
         return _sum(_usable(variance)) * variance.numel() / total
-
-
-def strata_counts(spread: Tensor, total: Tensor | int, floor: int = 1) -> Tensor:
-    """Evaluations of each stratum of every pixel, (16): proportional to `spread`, in whole numbers.
-
-    Shares below `floor` are raised to it and the rest shared out again; then every share is rounded down and what is left goes to the
-    largest remainders, ties in an order that rotates from pixel to pixel. With no spread in a pixel its strata get the same. Strata
-    whose spread is NaN or +inf count as the largest finite one of their pixel.
-
-    Args:
-        spread: (m, *S) real and not negative, √(μ_hj − φ_h²) of each of m strata; only ratios within a pixel matter.
-        total: evaluations of every pixel, or (*S) int64 of each.
-        floor: the fewest that a stratum gets, at least 0.
-
-    Returns:
-        (m, *S) int64 that adds up to `total` over dim 0.
-
-    Raises:
-        McaaError: a total below m * floor, or an argument of the wrong kind, shape or sign.
-    """
-    if spread.ndim < 1 or spread.numel() == 0:
-        raise McaaError(f"spread must be (strata, *pixels), got {tuple(spread.shape)}: pass at least one stratum of one pixel")
-    share = _real("spread", spread)
-    strata, pixels = share.shape[0], share.shape[1:]
-    _check_whole("floor", floor, 0)
-    wanted = _strata_total(total, pixels, share.device)
-    least, most = int(wanted.min()), int(wanted.max())
-    if least < strata * floor or most > _MOST:
-        raise McaaError(
-            f"total must be from {strata * floor} ({strata} strata of at least {floor}) to 2**48 in every pixel, got {least} to {most}: "
-            f"raise spp to at least {strata * floor}, or use fewer strata"
-        )
-    largest = share.amax(0)
-    if not largest.isfinite().all():
-        known = share.isfinite()
-        largest = share.masked_fill(~known, 0).amax(0).masked_fill_(~known.any(0), 1)
-        share = torch.where(known, share, largest)
-    share = (share / largest).masked_fill_(largest == 0, 1)
-    pinned = torch.zeros_like(share, dtype=torch.bool)
-    while True:
-        # torch promises no order for sum(0) that does not depend on the threads.
-        unit = (wanted - floor * _planes(pinned)) / _planes(share)
-        exact = (share * unit).masked_fill_(pinned, floor)
-        low = exact < floor
-        if not low.any():
-            break
-        pinned |= low
-        share.masked_fill_(low, 0)
-    whole = exact.floor()
-    counts = whole.to(torch.int64)
-    left = wanted - counts.sum(0)
-    remainder = exact.sub_(whole).masked_fill_(pinned, -1)
-    first = (torch.arange(pixels.numel(), device=share.device) % strata).reshape(pixels)
-    rank = torch.zeros_like(counts, dtype=torch.int32)
-    for j in range(strata):
-        for i in range(j):
-            ahead = torch.where((first > i) & (first <= j), remainder[i] > remainder[j], remainder[i] >= remainder[j])
-            rank[j] += ahead
-            rank[i] += ~ahead
-    return counts.add_(rank < left)
 
 
 def _even(chosen: Tensor, total: int) -> Tensor:
@@ -261,20 +199,12 @@ def _spread_places(chosen: Tensor) -> Tensor:
     return places[key.view(-1)[places].argsort(stable=True)]
 
 
-def _planes(tensor: Tensor) -> Tensor:
-    """The sum over dim 0, in order."""
-    total = torch.zeros(tensor.shape[1:], dtype=torch.float64, device=tensor.device)
-    for plane in tensor:
-        total += plane
-    return total
-
-
 def _sum(variance: Tensor) -> float:
     """The sum, the same for any number of threads: torch adds pieces of this size in one thread."""
     return math.fsum(piece.sum().item() for piece in variance.reshape(-1).split(16384))
 
 
-def _real(name: str, values: Tensor) -> Tensor:
+def real(name: str, values: Tensor) -> Tensor:
     if values.is_complex() or values.dtype == torch.bool:
         raise McaaError(f"{name} must be real numbers, got {values.dtype}: convert to torch.float64")
     if (values < 0).any():
@@ -285,7 +215,7 @@ def _real(name: str, values: Tensor) -> Tensor:
 def _picture(name: str, variance: Tensor) -> Tensor:
     if variance.ndim != 2 or variance.numel() == 0:
         raise McaaError(f"{name} must be (H, W), one value a pixel, got {tuple(variance.shape)}: combine the channels first")
-    return _real(name, variance)
+    return real(name, variance)
 
 
 def _usable(variance: Tensor) -> Tensor:
@@ -297,7 +227,7 @@ def _usable(variance: Tensor) -> Tensor:
     return torch.where(finite, variance, largest)
 
 
-def _check_whole(name: str, value: object, least: int) -> None:
+def check_whole(name: str, value: object, least: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise McaaError(f"{name} must be a whole number >= {least}, got {value!r}: pass an int")
 
@@ -305,25 +235,13 @@ def _check_whole(name: str, value: object, least: int) -> None:
 def _check_total(variance: Tensor, total: int, floor: int, cap: int | None) -> int:
     """The cap, or what bounds every pixel where there is none."""
     for name, value in (("total", total), ("floor", floor), ("cap", total if cap is None else cap)):
-        _check_whole(name, value, 1)
+        check_whole(name, value, 1)
     pixels = variance.numel()
     shown = f"{total} evaluations for {variance.shape[0]} x {variance.shape[1]} pixels"
     if total < floor * pixels:
         raise McaaError(f"{shown} are too few for {floor} in each: raise spp to at least {floor}")
     if cap is not None and total > cap * pixels:
         raise McaaError(f"{shown} are too many for at most {cap} in each: lower spp to at most {cap}, or raise the cap")
-    if total > _MOST:
+    if total > MOST:
         raise McaaError(f"{shown} are more than 2**48: render the picture in parts")
     return total if cap is None else cap
-
-
-def _strata_total(total: Tensor | int, pixels: torch.Size, device: torch.device) -> Tensor:
-    """`total` as (*S) int64."""
-    if not isinstance(total, Tensor):
-        _check_whole("total", total, 1)
-        return torch.full(pixels, total, dtype=torch.int64, device=device)
-    if total.shape != pixels or total.is_floating_point() or total.is_complex() or total.dtype == torch.bool:
-        raise McaaError(
-            f"total must be int64 of shape {tuple(pixels)}, got {total.dtype} of {tuple(total.shape)}: one number a pixel"
-        )
-    return total.to(device=device, dtype=torch.int64)

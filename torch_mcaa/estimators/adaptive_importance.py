@@ -15,7 +15,7 @@ from torch_mcaa.densities.mixture import choose
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.importance import weighted
-from torch_mcaa.estimators.pixelwise import ROUNDS, Drawn, Pixels, Pixelwise
+from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise, check_rounds, combined
 from torch_mcaa.filters import Filter
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.patterns import Pattern, Sobol
@@ -50,8 +50,7 @@ class AdaptiveImportance(Pixelwise):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.rounds, bool) or not isinstance(self.rounds, int) or not 2 <= self.rounds <= ROUNDS:
-            raise McaaError(f"rounds must be an integer from 2 to {ROUNDS}, got {self.rounds!r}")
+        check_rounds(self.rounds)
         if self.density not in (Histogram, Mixture):
             raise McaaError(
                 f"density must be the class Histogram or Mixture, which each pixel has its own of, got {self.density!r}"
@@ -78,30 +77,16 @@ class AdaptiveImportance(Pixelwise):
             rounds.append(weighted(values * weight, weight, valid, self.pattern, u, v))
             if inner + 1 < self.rounds:
                 model.learn(values if valid is None else torch.where(valid, values, 0))
-        return self._combined(rounds)
+        weights = [1.0 if self.combine == "pooled" else math.sqrt(k + 1) for k in range(self.rounds)]
+        if self.combine == "discard_pilot":
+            weights[0] = 0.0
+        return combined(rounds, weights)
 
     def count(self, spp: int) -> int:
         return sum(self._sizes(spp))
 
     def _sizes(self, n: int) -> list[int]:
         return [self.pattern.count(n // self.rounds + (k < n % self.rounds)) for k in range(self.rounds)]
-
-    def _combined(self, rounds: list[Drawn]) -> Drawn:
-        first = 1 if self.combine == "discard_pilot" else 0
-        weights = [0.0 if k < first else 1.0 if self.combine == "pooled" else math.sqrt(k + 1) for k in range(len(rounds))]
-        shares = torch.tensor(weights, dtype=torch.float64) / sum(weights)
-        kept = list(zip(shares.tolist(), rounds, strict=True))[first:]
-        tail = kept[0][1].pareto_k
-        for _, drawn in kept[1:]:
-            tail = torch.fmax(tail, drawn.pareto_k)
-        return Drawn(
-            sum((share * drawn.value for share, drawn in kept), torch.zeros_like(tail)),
-            sum((share**2 * drawn.variance for share, drawn in kept), torch.zeros_like(tail)),
-            sum((share**2 * drawn.predicted for share, drawn in kept), torch.zeros_like(tail)),
-            sum((drawn.ess for _, drawn in kept), torch.zeros_like(tail)),
-            tail,
-            sum((drawn.invalid for drawn in rounds), torch.zeros_like(tail)),
-        )
 
 
 class _Model(ABC):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Literal
 
@@ -67,6 +68,35 @@ class Drawn:
     ess: Tensor
     pareto_k: Tensor
     invalid: Tensor
+
+
+def combined(rounds: Sequence[Drawn], weights: Sequence[float]) -> Drawn:
+    """Rounds of the same pixels averaged with weights that no value chose; one of weight 0 counts for its `invalid` alone.
+
+    A round without a value (all its samples were not finite) says nothing about the pixel.
+    """
+    used = [(weight, drawn) for weight, drawn in zip(weights, rounds, strict=True) if weight]
+    shares = torch.stack([torch.where(drawn.value.isnan(), 0, weight) for weight, drawn in used])
+    shares = shares / shares.sum(0)
+
+    def mean(parts: list[Tensor], power: int) -> Tensor:
+        return torch.where(shares > 0, torch.stack(parts) * shares**power, 0).sum(0).where(~shares[0].isnan(), torch.nan)
+
+    tail = torch.stack([drawn.pareto_k for _, drawn in used]).nan_to_num(nan=-torch.inf).amax(0)
+    return Drawn(
+        mean([drawn.value for _, drawn in used], 1),
+        mean([drawn.variance for _, drawn in used], 2),
+        mean([drawn.predicted for _, drawn in used], 2),
+        torch.stack([drawn.ess for _, drawn in used]).sum(0),
+        torch.where(tail > -torch.inf, tail, torch.nan),
+        torch.stack([drawn.invalid for drawn in rounds]).sum(0),
+    )
+
+
+def check_rounds(rounds: object) -> None:
+    """Raise McaaError for what is not a number of inner rounds, 2 to `ROUNDS`."""
+    if isinstance(rounds, bool) or not isinstance(rounds, int) or not 2 <= rounds <= ROUNDS:
+        raise McaaError(f"rounds must be an integer from 2 to {ROUNDS}, got {rounds!r}")
 
 
 @dataclass(frozen=True, repr=False)
@@ -134,6 +164,9 @@ class PixelwiseRound(Round):
 
     def __init__(self, estimator: Pixelwise, task: Task, spp: float, number: int, counts: Tensor | None = None) -> None:
         self.estimator, self.task, self.number, self.counts = estimator, task, number, counts
+        if counts is not None:
+            asked, which = counts.unique(return_inverse=True)
+            self.counts = torch.tensor([estimator.count(n) if n else 0 for n in asked.tolist()], device=counts.device)[which]
         self.per_pixel = float(spp if counts is not None else estimator.count(int(spp)))
 
     def points(self, cell: Cell) -> int:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-from torch_mcaa.allocation import strata_counts
 from torch_mcaa.densities import FilterDensity, Mixture, Normal
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.importance import effective
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise
+from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise, combined
 from torch_mcaa.estimators.tail import pareto_k
 from torch_mcaa.estimators.weights import check_weights
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.moments import Moments
 from torch_mcaa.patterns import Independent
+from torch_mcaa.strata import strata_counts
 
 _PILOT = 2
 """The fewest evaluations of a stratum in the pilot of optimal counts, to have a variance."""
@@ -117,15 +117,16 @@ class Stratified(Pixelwise):
         second = self._separate(pixels, s, 0, 1)
         moments = moments.merge(_unit_moments(*second))
         predicted = moments.variance.sqrt().sum(1).square() / left
-        return joined(stratified(*first), stratified(*second), self.combine, left / n, predicted)
+        main = replace(stratified(*second), predicted=predicted)
+        return combined([stratified(*first), main], [0.0 if self.combine == "discard_pilot" else each * m, left])
 
     def _normals(self, task: Task) -> list[Normal]:
         """rho_hj about each sub-pixel's centre, row by row."""
         (m1, m2), spread = self.strata, filter_variance(task.filter)
         beta = spread[0] / (m1 * m2), spread[1] / (m1 * m2)
         if self.weights == "balance":
-            # the variance of m equally spaced centres in a unit interval is (m^2 - 1) / (12 m^2)
-            beta = tuple(g - (m * m - 1) / (12 * m * m) for g, m in zip(spread, self.strata, strict=True))
+            # the variance of m equally spaced centres in a unit interval is (1 - m^-2) / 12
+            beta = spread[0] - (1 - m1**-2) / 12, spread[1] - (1 - m2**-2) / 12
         if self.density is not None:
             beta = self.density.variance
         if min(beta) <= 1e-3 * min(spread):
@@ -202,17 +203,3 @@ def stratified(terms: Tensor, coefficient: Tensor, valid: Tensor | None, stratum
     variance = (moments.count * torch.where(moments.count > 1, moments.variance, alone)).nan_to_num(posinf=torch.inf)
     variance = torch.where(moments.count > 0, variance, 0).sum(1)
     return Drawn(terms.sum(1), variance, variance, effective(coefficient), pareto_k(terms), invalid)
-
-
-def joined(pilot: Drawn, main: Drawn, combine: str, share: float, predicted: Tensor) -> Drawn:
-    """Two rounds as one: by their fixed weights 1 - share and share, or the second alone."""
-    if combine == "discard_pilot":
-        return Drawn(main.value, main.variance, predicted, main.ess, main.pareto_k, pilot.invalid + main.invalid)
-    return Drawn(
-        pilot.value + (main.value - pilot.value) * share,
-        pilot.variance * (1 - share) ** 2 + main.variance * share**2,
-        pilot.predicted * (1 - share) ** 2 + predicted * share**2,
-        pilot.ess + main.ess,
-        torch.fmax(pilot.pareto_k, main.pareto_k),
-        pilot.invalid + main.invalid,
-    )

@@ -41,17 +41,11 @@ class Jittered(Pattern):
         return clamp_below_one(u), clamp_below_one(v)
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        """`neighbour_variance`: too large by half the squared differences of the cells' means.
+        """`curvature_variance` over the grid.
 
-        Four times the true variance for a linear f. Measured with the box filter on 4,096 each of half-planes
-        and discs (edges), quadratics, blobs and tones (smooth): mean reported over true variance, and coverage
-        of the 95 % interval.
-
-            n       4          8          16         64         256
-            edges   1.5  .66   1.7  .82   2.0  .92   2.1  .98   2.1  .99
-            smooth  2.9  .95   2.8  .98   3.7  1.0   3.9  1.0   4.0  1.0
+        @TABLE_J@
         """
-        return neighbour_variance(terms)
+        return curvature_variance(terms.unflatten(0, strata(len(terms))))
 
 
 def strata(n: int) -> tuple[int, int]:
@@ -62,16 +56,44 @@ def strata(n: int) -> tuple[int, int]:
     return rows, columns
 
 
-def neighbour_variance(terms: Tensor) -> Tensor:
-    """n / 2 times the mean squared difference of the terms of neighbouring cells; +inf for n = 1.
+def neighbour_variance(cells: Tensor) -> Tensor:
+    """n / 2 times the mean squared difference of the terms of neighbouring cells, (rows, columns, ...); +inf for one cell.
 
     With independent points E(t - t')**2 / 2 is the mean variance of the two cells plus half the squared
     difference of their means: too large where f has a gradient, and hardly ever too small.
     """
-    n = terms.shape[0]
+    height, width = cells.shape[:2]
+    n = height * width
     if n == 1:
-        return torch.full_like(terms[0], torch.inf)
-    height, width = strata(n)
-    grid = terms.unflatten(0, (height, width))
-    squares = grid.diff(dim=0).square_().sum((0, 1)) + grid.diff(dim=1).square_().sum((0, 1))
+        return torch.full_like(cells[0, 0], torch.inf)
+    squares = cells.diff(dim=0).square_().sum((0, 1)) + cells.diff(dim=1).square_().sum((0, 1))
     return squares.mul_(n / 2 / (2 * n - height - width))
+
+
+def curvature_variance(cells: Tensor) -> Tensor:
+    """n / 6 times the mean squared second difference along the rows and columns of n cells, (rows, columns, ...).
+
+    Where a row or column begins and ends a first difference stands in, so the sum of squares of m white terms is 6 m - 8, and only
+    equal terms give 0. +inf for one cell. A gradient that is the same in three cells is no error here, unlike in `neighbour_variance`.
+    """
+    height, width = cells.shape[:2]
+    if height == width == 1:
+        return torch.full_like(cells[0, 0], torch.inf)
+    squares, weight = torch.zeros_like(cells[0, 0]), 0
+    for lines in (cells, cells.transpose(0, 1)):
+        if len(lines) > 1:
+            steps = lines.diff(dim=0)
+            squares += steps.diff(dim=0).square_().sum((0, 1)) + (steps[0].square() + steps[-1].square()).sum(0)
+            weight += (6 * len(lines) - 8) * lines.shape[1]
+    return squares.mul_(height * width / weight)
+
+
+CHOICE = 0.75
+"""Degrees of freedom that choosing cells by `steepness` takes. Reported over true variance of white noise without it: .81, .91, .96,
+.987, .992 at n = 4, 8, 16, 32, 64 for `Sobol` and `MultiJittered` alike; with it 0.99 to 1.015."""
+
+
+def steepness(terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """log2 |g_u / g_v| of the first moments g of the terms about the points' mean; 0 where both are 0."""
+    along_u, along_v = ((terms * (x - x.mean(0))).sum(0).abs_().log2_() for x in (u, v))
+    return along_u.sub_(along_v).nan_to_num_(nan=0.0)
