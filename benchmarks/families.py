@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -13,7 +14,7 @@ import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.filters import Filter
 
-SIZE = 24
+SIZE, SMALL = 24, 8
 # the closed forms are those of a Gaussian that nothing cuts off; 8 std of it are the same in float64
 FILTER = mcaa.Gaussian(0.5, radius=4.0)
 Draw = Callable[[torch.Generator], scenes.Scene]
@@ -76,6 +77,16 @@ class Score:
     coverage: float
     bias: float
 
+    @classmethod
+    def of(cls, error: Tensor, stderr: Tensor) -> Score:
+        rmse = float(error.square().mean().sqrt())
+        return cls(
+            rmse,
+            float(stderr.square().mean().sqrt()) / rmse,
+            float((error.abs() <= 1.959964 * stderr).to(torch.float64).mean()),
+            float(error.mean()),
+        )
+
 
 Method = Callable[[scenes.Scene, int], tuple[Tensor, Tensor]]
 
@@ -107,6 +118,11 @@ def grid_and_blur(k: int, std: float = 0.5, reach: int = 4) -> Method:
     return method
 
 
+def _flat_pixels(truth: Tensor) -> Tensor:
+    """Where a scene of 0 and 1 is one of them within the filter, or as good as."""
+    return (truth < 1e-3) | (truth > 1 - 1e-3)
+
+
 def score(family: str, method: Method, seeds: int, truth_filter: Filter | None = None, first_seed: int = 0) -> Score:
     """Run a method over `seeds` random scenes of a family, a new seed for each."""
     generator = torch.Generator().manual_seed(20260101 + first_seed)
@@ -116,14 +132,66 @@ def score(family: str, method: Method, seeds: int, truth_filter: Filter | None =
         scene = FAMILIES[family](generator)
         truth = scene.exact(centre[None, :], centre[:, None], FILTER if truth_filter is None else truth_filter)
         value, stderr = method(scene, seed)
-        flat = torch.zeros_like(truth, dtype=torch.bool) if family.startswith("tones") else (truth < 1e-3) | (truth > 1 - 1e-3)
+        flat = torch.zeros_like(truth, dtype=torch.bool) if family.startswith("tones") else _flat_pixels(truth)
         errors.append((value.to(torch.float64) - truth)[~flat])
         reported.append(stderr.to(torch.float64)[~flat])
-    error, stderr = torch.cat(errors), torch.cat(reported)
-    rmse = float(error.square().mean().sqrt())
-    return Score(
-        rmse,
-        float(stderr.square().mean().sqrt()) / rmse,
-        float((error.abs() <= 1.959964 * stderr).to(torch.float64).mean()),
-        float(error.mean()),
-    )
+    return Score.of(torch.cat(errors), torch.cat(reported))
+
+
+def _middle(generator: torch.Generator) -> tuple[float, float]:
+    return SMALL / 2 + _uniform(generator, -0.5, 0.5), SMALL / 2 + _uniform(generator, -0.5, 0.5)
+
+
+def _half_plane(generator: torch.Generator) -> scenes.Scene:
+    (x, y), t = _middle(generator), _uniform(generator, 0, 2 * math.pi)
+    return scenes.HalfPlane(t, x * math.cos(t) + y * math.sin(t))
+
+
+def _arc(generator: torch.Generator) -> scenes.Scene:
+    (x, y), t, r = _middle(generator), _uniform(generator, 0, 2 * math.pi), _uniform(generator, 2, 9)
+    return scenes.Disc(x - r * math.cos(t), y - r * math.sin(t), r)
+
+
+def _stripe(generator: torch.Generator) -> scenes.Scene:
+    (x, y), t = _middle(generator), _uniform(generator, 0, 2 * math.pi)
+    return scenes.Stripe(t, x * math.cos(t) + y * math.sin(t), _uniform(generator, 0.1, 0.5))
+
+
+def _quadratic(generator: torch.Generator) -> scenes.Scene:
+    return scenes.Quadratic(*_middle(generator), *(_uniform(generator, -0.05, 0.05) for _ in range(3)))
+
+
+def _blob(generator: torch.Generator) -> scenes.Scene:
+    return scenes.Blob(*_middle(generator), _uniform(generator, 1, 3))
+
+
+def _slow(generator: torch.Generator) -> scenes.Scene:
+    frequency, t = _uniform(generator, 0, 0.5), _uniform(generator, 0, 2 * math.pi)
+    return scenes.Sinusoid(frequency * math.cos(t), frequency * math.sin(t), _uniform(generator, 0, 2 * math.pi))
+
+
+GROUPS: dict[str, tuple[Draw, ...]] = {"EDGE": (_half_plane, _arc, _stripe), "SMOOTH": (_quadratic, _blob, _slow)}
+"""Of scenes for pictures of SMALL x SMALL pixels, whose edges pass through the middle."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, its closed form (SMALL, SMALL), and the pixels that count."""
+
+    scene: scenes.Scene
+    truth: Tensor
+    counted: Tensor
+
+
+@cache
+def cases(draw: Draw, filter: Filter, pixels: int) -> list[Case]:
+    """Random scenes until a third of `pixels` count, and no fewer than one for 128 of them."""
+    generator = torch.Generator().manual_seed(20260102)
+    centre = torch.arange(SMALL, dtype=torch.float64) + 0.5
+    made: list[Case] = []
+    while sum(int(case.counted.sum()) for case in made) < pixels / 3 or len(made) < pixels / 128:
+        scene = draw(generator)
+        truth = scene.exact(centre, centre[:, None], filter)
+        counted = ~_flat_pixels(truth) if draw in GROUPS["EDGE"] else torch.ones_like(truth, dtype=torch.bool)
+        made.append(Case(scene, truth, counted))
+    return made

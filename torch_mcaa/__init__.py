@@ -3,7 +3,17 @@
 from torch_mcaa.allocation import EqualVariance, Neyman, Uniform
 from torch_mcaa.densities import FilterDensity, Histogram, Mixture, Normal
 from torch_mcaa.errors import McaaError, McaaWarning
-from torch_mcaa.estimators import AdaptiveImportance, Auto, Crude, Importance, OrderedStrata, Shared, Stratified
+from torch_mcaa.estimators import (
+    AdaptiveImportance,
+    Auto,
+    ControlVariate,
+    Crude,
+    Importance,
+    OrderedStrata,
+    Pairs,
+    Shared,
+    Stratified,
+)
 from torch_mcaa.filters import (
     BlackmanHarris,
     Box,
@@ -30,6 +40,7 @@ __all__ = [
     "BlackmanHarris",
     "Box",
     "CatmullRom",
+    "ControlVariate",
     "Crude",
     "EqualVariance",
     "FilterDensity",
@@ -48,6 +59,7 @@ __all__ = [
     "Neyman",
     "Normal",
     "OrderedStrata",
+    "Pairs",
     "Rendering",
     "Shared",
     "Sinc",

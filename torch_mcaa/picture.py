@@ -26,7 +26,9 @@ def blank(task: Task, channels: int, diagnosed: bool) -> Estimate:
         diagnostics = None
         if diagnosed:
             ess = full(0.0, height, width, dtype=torch.float32)
-            diagnostics = Diagnostics(full(torch.inf, channels, height, width), ess, torch.full_like(ess, torch.nan))
+            diagnostics = Diagnostics(
+                full(torch.inf, channels, height, width), ess, full(torch.nan, channels, height, width, dtype=torch.float32)
+            )
         return Estimate(
             full(torch.nan, channels, height, width), full(torch.inf, channels, height, width), counts[0], counts[1], diagnostics
         )
@@ -61,5 +63,5 @@ def add(picture: Estimate, cell: Cell, new: Estimate, share: float | Tensor | No
         if share is not None:
             predicted = before.predicted[window] * (1 - share) ** 2 + predicted * share**2
             ess = before.ess[cell.window] + ess
-            pareto_k = torch.fmax(before.pareto_k[cell.window], pareto_k)
-        before.predicted[window], before.ess[cell.window], before.pareto_k[cell.window] = predicted, ess, pareto_k
+            pareto_k = torch.fmax(before.pareto_k[window], pareto_k)
+        before.predicted[window], before.ess[cell.window], before.pareto_k[window] = predicted, ess, pareto_k

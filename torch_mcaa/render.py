@@ -127,7 +127,7 @@ def _rendering(work: _Work, stopped: Stopped, seconds: float) -> Rendering:
         bias.append("samples that were not finite were left out")
     diagnostics = picture.diagnostics
     if diagnostics is not None:
-        heavy = int((diagnostics.pareto_k > 0.5).sum())
+        heavy = int(((diagnostics.pareto_k > 0.5) & picture.variance.isinf()).any(0).sum())
         if heavy:
             warnings.warn(
                 f"in {heavy} pixels the samples look as if f had no second moment (pareto_k above 0.5): their standard error is +inf; "
@@ -180,10 +180,10 @@ class _Work:
         self.pilot = self.spp
         if not self.single:
             self.pilot = max(chosen.fewest, min(self.spp, _PILOT) if adaptive else self.spp // _PILOT_SHARE)
-            if self.allocated and self.spp < self.pilot + chosen.fewest:
+            if self.allocated and self.spp < self.pilot + self._floor:
                 raise McaaError(
-                    f"{chosen} has a pilot of {self.pilot} evaluations a pixel and then at least {chosen.fewest}, got spp = {self.spp}; "
-                    f"raise spp to {self.pilot + chosen.fewest} or more, or take allocation=Uniform()"
+                    f"{chosen} has a pilot of {self.pilot} evaluations a pixel and then at least {self._floor}, got spp = {self.spp}; "
+                    f"raise spp to {self.pilot + self._floor} or more, or take allocation=Uniform()"
                 )
 
     def run(self) -> Stopped:
@@ -213,14 +213,15 @@ class _Work:
             left = self.spp * pixels - self._spent
             room = int(left // sum(self.cells[index].height * self.cells[index].width for index in active))
             asked = room if self.tolerance is None else min(room, 2 * asked)
-            if asked < self.estimator.fewest:
+            fewest = self._floor if self.allocated else self.estimator.fewest
+            if asked < fewest:
                 return "spp"
             if self.deadline is not None:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
                 reach = sum(self.cells[index].height * self.cells[index].width for index in active) * rate
                 asked = int(min(asked, (self.deadline - now) / reach))
-                if asked < self.estimator.fewest:
+                if asked < fewest:
                     return "seconds"
 
     def _round(self, asked: int, active: Sequence[int]) -> Round:
@@ -234,6 +235,11 @@ class _Work:
             if asked == self.estimator.fewest or sum(current.points(self.cells[index]) for index in active) <= left:
                 return current
             asked -= 1
+
+    @property
+    def _floor(self) -> int:
+        """The fewest that an allocation gives a pixel: one evaluation alone has no variance."""
+        return max(2, self.estimator.fewest)
 
     @property
     def _known(self) -> Tensor | None:
@@ -254,7 +260,7 @@ class _Work:
             )
         spread = self._known.to(inside.device) if self._known is not None else self._spread()
         cap = None if self._known is not None else _CAP * -(-total // pixels)
-        shares = chosen.allocation.counts(spread[inside][None], total, chosen.fewest, cap)
+        shares = chosen.allocation.counts(spread[inside][None], total, self._floor, cap)
         self.predicted_optimum = chosen.allocation.predicted(spread[inside][None], total)
         counts = torch.zeros_like(inside, dtype=torch.int64)
         counts[inside] = shares[0].to(torch.int64)
@@ -269,7 +275,8 @@ class _Work:
         assert self._picture is not None and self._picture.diagnostics is not None
         n = self._picture.points.to(torch.float64)
         value = self._picture.value.to(torch.float64).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
-        half = ((value.amax((1, 2)) - value.amin((1, 2))) / 2).square()[:, None, None]
+        assert isinstance(self.estimator, Pixelwise)
+        half = ((value.amax((1, 2)) - value.amin((1, 2))) / 2).square()[:, None, None] * self.estimator.allocation.unseen
         own = self._picture.diagnostics.predicted.to(torch.float64) * n
         return ((9 * n * pooled(own) + half) / (9 * n + 1)).mean(0)
 

@@ -34,8 +34,8 @@ class Rendering:
         predicted_variance: (C, H, W) the variance of `image` that theory gives, (10) or (12), its second moments estimated from the same
             points; what independent points would have. None for shared points, for which no formula gives one.
         ess: (H, W) float32 effective sample size of the weights w / w'; None for shared points.
-        pareto_k: (H, W) float32 tail index of the weighted values, NaN where too few points tell; from 1/2 on there is no second
-            moment, and `stderr` is +inf. None for shared points.
+        pareto_k: (C, H, W) float32 tail index of the weighted values, NaN where too few points tell; from 1/2 on there is no second
+            moment, and `stderr` is +inf about the peaks of such pixels. None for shared points.
         predicted_optimum: what an `allocation` promised for its last round: (15), (20) the variance common to all pixels under
             `EqualVariance`, the sum of the variances under `Neyman`; None without.
     """

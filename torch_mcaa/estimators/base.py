@@ -37,7 +37,7 @@ class Diagnostics:
     Attributes:
         predicted: (C, h, w) the variance that the theory gives the value, in the task's dtype.
         ess: (h, w) float32 effective sample size.
-        pareto_k: (h, w) float32 tail index of the terms, NaN where nothing can be said.
+        pareto_k: (C, h, w) float32 tail index of the terms, NaN where nothing can be said.
     """
 
     predicted: Tensor

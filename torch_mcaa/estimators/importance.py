@@ -39,7 +39,7 @@ class Importance(Pixelwise):
     def check(self, task: Task) -> None:
         super().check(task)
         density = self._density(task)
-        check_weights(task, density, repr(density))
+        check_weights(task, density, repr(density), "use a density at least as wide as the filter, or a Mixture with FilterDensity")
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         u, v = pixels.points(self.pattern, n)

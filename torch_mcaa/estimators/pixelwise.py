@@ -14,6 +14,7 @@ from torch_mcaa.allocation import Allocation, Uniform
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Diagnostics, Estimate, Estimator, Round, Task, pooled, settled
 from torch_mcaa.estimators.points import evaluate_points
+from torch_mcaa.estimators.tail import without_moment
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK
@@ -58,7 +59,7 @@ class Drawn:
         variance: (C, P) its estimated variance.
         predicted: (C, P) the variance that the theory gives it: (10), (12), (17) with the second moments of the same points.
         ess: (P,) effective sample size of the weights w / w', (sum |w / w'|)^2 / sum (w / w')^2.
-        pareto_k: (P,) tail index of the terms, NaN where nothing can be said.
+        pareto_k: (C, P) tail index of the terms, NaN where nothing can be said.
         invalid: (P,) how many values of f were not finite.
     """
 
@@ -76,7 +77,7 @@ def combined(rounds: Sequence[Drawn], weights: Sequence[float]) -> Drawn:
     A round without a value (all its samples were not finite) says nothing about the pixel.
     """
     used = [(weight, drawn) for weight, drawn in zip(weights, rounds, strict=True) if weight]
-    shares = torch.stack([torch.where(drawn.value.isnan(), 0, weight) for weight, drawn in used])
+    shares = torch.stack([(~drawn.value.isnan()).to(torch.float64) * weight for weight, drawn in used])
     shares = shares / shares.sum(0)
 
     def mean(parts: list[Tensor], power: int) -> Tensor:
@@ -104,7 +105,8 @@ class Pixelwise(Estimator):
     """An estimator whose pixels draw their own points, in rounds.
 
     Attributes:
-        allocation: how the evaluations of the rounds after the first are shared out over the pixels.
+        allocation: how the evaluations are shared out over the pixels: after a pilot of a quarter of them, even, whose variances decide
+            the rest, or from variances that are known.
         combine: what becomes of the first round, the pilot. "fixed": rounds are averaged with weights known beforehand, unbiased;
             "discard_pilot": only the last counts, unbiased; "pooled": weighted by the evaluations each pixel had, which the pilot
             chose: biased, see `Rendering.bias`.
@@ -193,7 +195,7 @@ class PixelwiseRound(Round):
 
         value, variance, predicted = (plane(name, torch.float64) for name in ("value", "variance", "predicted"))
         invalid, tail = plane("invalid", torch.int32), plane("pareto_k", torch.float32)
-        variance = torch.where(tail > 0.5, torch.inf, variance)
+        variance = torch.where(without_moment(tail, value), torch.inf, variance)
         if task.boundary == "renormalize":
             norm = self._inside(cell)
             value, variance, predicted = value / norm, variance / norm.square(), predicted / norm.square()

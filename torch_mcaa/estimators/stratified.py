@@ -18,6 +18,7 @@ from torch_mcaa.estimators.weights import check_weights
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.moments import Moments
 from torch_mcaa.patterns import Independent
+from torch_mcaa.patterns.base import skewness_factor
 from torch_mcaa.strata import strata_counts
 
 _PILOT = 2
@@ -41,7 +42,7 @@ class Stratified(Pixelwise):
         strata: (m1, m2), along x and y.
         density: the normal density of each stratum, its centre left out; None for (28) with "paper", and with "balance" for the variance
             that makes the mixture's covariance that of w: that of w less that of the centres.
-        weights: "paper", "balance" or "filter".
+        weights: "paper", "balance" or "filter"; None for "filter", which measures best, and "balance" where a density is given.
         defensive: share of the evaluations drawn from |w| under "balance", 0 <= defensive < 1.
         counts: "equal", or "optimal" for (16): a quarter of the evaluations is a pilot, whose variances choose the rest, which is then combined
             with it as `combine` says. Predicted is (17). Not with "balance", for whose variance (16) is not the minimum.
@@ -49,7 +50,7 @@ class Stratified(Pixelwise):
 
     strata: tuple[int, int] = (2, 2)
     density: Normal | None = None
-    weights: Literal["paper", "balance", "filter"] = "balance"
+    weights: Literal["paper", "balance", "filter"] | None = None
     defensive: float = 0.1
     counts: Literal["equal", "optimal"] = "equal"
 
@@ -64,13 +65,13 @@ class Stratified(Pixelwise):
             raise McaaError(f"strata must be two integers of at least 1, (m1, m2) along x and y, got {pair!r}")
         if self.density is not None and not isinstance(self.density, Normal):
             raise McaaError(f"the density of the strata must be Normal(variance), got {self.density!r}; for other pairs use Pairs")
-        if self.weights not in ("paper", "balance", "filter"):
+        if self.weights not in (None, "paper", "balance", "filter"):
             raise McaaError(f"weights must be 'paper', 'balance' or 'filter', got {self.weights!r}")
-        if self.weights == "filter" and self.density is not None:
+        if self.kind == "filter" and self.density is not None:
             raise McaaError(f"weights='filter' takes its strata from the filter, got density={self.density!r}; leave it out")
         if self.counts not in ("equal", "optimal"):
             raise McaaError(f"counts must be 'equal' or 'optimal', got {self.counts!r}")
-        if self.counts == "optimal" and self.weights == "balance":
+        if self.counts == "optimal" and self.kind == "balance":
             raise McaaError(
                 "counts='optimal' is (16), which is no minimum for weights='balance'; use 'filter' or 'paper', or equal counts"
             )
@@ -78,9 +79,14 @@ class Stratified(Pixelwise):
             raise McaaError(f"defensive must be a share of the evaluations in [0, 1), got {self.defensive!r}; 0.1 is usual")
 
     @property
+    def kind(self) -> Literal["paper", "balance", "filter"]:
+        """The weights, chosen where they were left out."""
+        return self.weights or ("filter" if self.density is None else "balance")
+
+    @property
     def fewest(self) -> int:
         m = self.strata[0] * self.strata[1]
-        return (1 + _PILOT) * m if self.counts == "optimal" else m + (self.weights == "balance" and self.defensive > 0)
+        return (1 + _PILOT) * m if self.counts == "optimal" else m + (self.kind == "balance" and self.defensive > 0)
 
     def bias(self, task: Task) -> tuple[str, ...]:
         pooled = self.combine == "pooled" and self.counts == "optimal"
@@ -88,21 +94,23 @@ class Stratified(Pixelwise):
 
     def check(self, task: Task) -> None:
         super().check(task)
-        if self.weights == "filter":
+        if self.kind == "filter":
             _ = task.filter.absolute_integral
             return
         normals = self._normals(task)
-        if self.weights == "paper":
+        if self.kind == "paper":
+            mend = "use weights='balance', weights='filter', or a wider density"
             for normal in normals:
-                check_weights(task, normal, f"a stratum of {self}, {normal},")
+                what = f"a stratum of {self}, a normal density of variance {normal.variance[0]:.4g} x {normal.variance[1]:.4g} px²,"
+                check_weights(task, normal, what, mend)
             return
         parts, shares = [*normals], [(1 - self.defensive) / len(normals)] * len(normals)
         if self.defensive:
             parts, shares = [*parts, FilterDensity(task.filter)], [*shares, self.defensive]
-        check_weights(task, Mixture(parts, shares), f"the mixture of {self}")
+        check_weights(task, Mixture(parts, shares), f"the mixture of {self}", "raise the defensive share, or use a wider density")
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
-        if self.weights == "balance":
+        if self.kind == "balance":
             return stratified(*self._balanced(pixels, n))
         m = self.strata[0] * self.strata[1]
         if self.counts == "equal":
@@ -124,7 +132,7 @@ class Stratified(Pixelwise):
         """rho_hj about each sub-pixel's centre, row by row."""
         (m1, m2), spread = self.strata, filter_variance(task.filter)
         beta = spread[0] / (m1 * m2), spread[1] / (m1 * m2)
-        if self.weights == "balance":
+        if self.kind == "balance":
             # the variance of m equally spaced centres in a unit interval is (1 - m^-2) / 12
             beta = spread[0] - (1 - m1**-2) / 12, spread[1] - (1 - m2**-2) / 12
         if self.density is not None:
@@ -147,7 +155,7 @@ class Stratified(Pixelwise):
         n = int(s[:, 0].sum())
         stratum = (torch.arange(n, device=s.device)[:, None, None] >= s.cumsum(0)).sum(1)
         u, v = pixels.points(Independent(), n, inner)
-        if self.weights == "filter":
+        if self.kind == "filter":
             dx, dy, sign = task.filter.sample((stratum % m1 + u) / m1, (stratum // m1 + v) / m2)
             coefficient = sign / (m1 * m2)
         else:
@@ -202,4 +210,5 @@ def stratified(terms: Tensor, coefficient: Tensor, valid: Tensor | None, stratum
     alone = Moments.of(terms, 1).variance[:, None]
     variance = (moments.count * torch.where(moments.count > 1, moments.variance, alone)).nan_to_num(posinf=torch.inf)
     variance = torch.where(moments.count > 0, variance, 0).sum(1)
-    return Drawn(terms.sum(1), variance, variance, effective(coefficient), pareto_k(terms), invalid)
+    reported = variance * torch.stack([skewness_factor(channel) for channel in terms])
+    return Drawn(terms.sum(1), reported, variance, effective(coefficient), pareto_k(terms), invalid)

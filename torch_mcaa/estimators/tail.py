@@ -14,7 +14,7 @@ _PROFILE = 20
 
 
 def pareto_k(terms: Tensor) -> Tensor:
-    """(P,): the tail index k of terms (C, n, P), the largest of the channels: P(|term| > t) falls as t^(-1/k).
+    """(C, P): the tail index k of terms (C, n, P): P(|term| > t) falls as t^(-1/k).
 
     From 1/2 on there is no second moment, from 1 on no mean. The tail is the min(n / 5, 3 sqrt(n)) largest of the terms that are not 0, as
     in Vehtari, Simpson, Gelman, Yao and Gabry ("Pareto smoothed importance sampling", 2024). The smaller of two estimates: theirs, that
@@ -26,13 +26,27 @@ def pareto_k(terms: Tensor) -> Tensor:
     Measured, terms found to have no second moment of 64, 256 and 1024: .51, .79, .91 at k = 3/4; .01, 0, 0 at k = 1/4; .07, .01, 0 for
     the square of a normal variable.
     """
-    largest = torch.full_like(terms[0, 0], torch.nan)
     squares = terms.square()
     suspicious = (squares.amax(1) > 0.1 * squares.sum(1)) & (squares.amax(1) > 0)
-    for channel, pixels in zip(terms.abs(), suspicious, strict=True):
-        if bool(pixels.any()):
-            largest[pixels] = torch.fmax(largest[pixels], _index(channel[:, pixels]))
-    return largest
+    index = torch.full_like(terms[:, 0], torch.nan)
+    if bool(suspicious.any()):
+        index[suspicious] = _index(terms.abs().movedim(1, 0)[:, suspicious])
+    return index
+
+
+def without_moment(index: Tensor, value: Tensor) -> Tensor:
+    """Pixels (C, h, w) of which a standard error would be a comfortable number: bool.
+
+    Their index is above 1/2, and no more than two pixels away is one alike whose value is the largest of its 3 x 3 neighbours. The flank
+    of a smooth bump has terms of every magnitude too, but larger values beside it; what grows without bound has none.
+    """
+    heavy = index > 0.5
+    if not bool(heavy.any()):
+        return heavy
+    magnitude = value.abs().nan_to_num(nan=0.0)
+    around = torch.nn.functional.max_pool2d(magnitude, 3, 1, 1)
+    peaks = (heavy & (magnitude >= around)).to(magnitude.dtype)
+    return heavy & (torch.nn.functional.max_pool2d(peaks, 5, 1, 2) > 0)
 
 
 def _index(terms: Tensor) -> Tensor:

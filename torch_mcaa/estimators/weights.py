@@ -15,7 +15,7 @@ _SHARE = 0.01
 _PROBES = 512
 
 
-def check_weights(task: Task, density: Density, what: str) -> None:
+def check_weights(task: Task, density: Density, what: str, mend: str) -> None:
     """Refuse a density that is 0 where w is not, or whose second moment, (11) for f = 1, no reasonable number of points would see.
 
     That is so when more than 1 % of the integral of w^2 / w' lies where w / w' is above 10^4, which for a normal w of variance g
@@ -26,9 +26,7 @@ def check_weights(task: Task, density: Density, what: str) -> None:
         McaaError: such a density.
     """
     if not density.covers(task.filter):
-        raise McaaError(
-            f"{what} is 0 where {task.filter} is not, which would be a silent bias; use a density that covers the filter"
-        )
+        raise McaaError(f"{what} is 0 where {task.filter} is not, which would be a silent bias; {mend}")
     radius = [
         r if math.isfinite(r) else side for r, side in zip(task.filter.radius, (task.screen.width, task.screen.height), strict=True)
     ]
@@ -41,5 +39,5 @@ def check_weights(task: Task, density: Density, what: str) -> None:
     if not seen >= 1 - _SHARE:
         raise McaaError(
             f"{what} is too narrow for {task.filter}: weights w / w' reach {largest:.1e}, where {1 - seen:.0%} of the second moment lies, so "
-            "the variance would look small and be ruinous; use a density at least as wide as w, or a Mixture with FilterDensity"
+            f"the variance would look small and be ruinous; {mend}"
         )

@@ -8,7 +8,7 @@ from typing import final
 import torch
 from torch import Tensor
 
-from torch_mcaa.patterns.base import Pattern, check_count, check_points, independent_variance, jitter
+from torch_mcaa.patterns.base import Pattern, check_count, check_points, independent_variance, jitter, skewness_factor
 
 __all__ = ["Independent"]
 
@@ -31,4 +31,5 @@ class Independent(Pattern):
         return jitter(_STREAM, n, rows, cols, seed, round, dtype)
 
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-        return independent_variance(terms)
+        """s**2 / n times `skewness_factor`."""
+        return independent_variance(terms) * skewness_factor(terms)

@@ -9,7 +9,7 @@ from typing import final
 import torch
 from torch import Tensor
 
-from torch_mcaa.patterns.base import Pattern, check_count, check_points, clamp_below_one, jitter
+from torch_mcaa.patterns.base import Pattern, check_count, check_points, clamp_below_one, independent_variance, jitter
 
 __all__ = ["Jittered"]
 
@@ -43,7 +43,12 @@ class Jittered(Pattern):
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
         """`curvature_variance` over the grid.
 
-        @TABLE_J@
+        Measured with the box filter on 4,096 each of half-planes and discs (edges), quadratics, blobs and tones
+        (smooth): mean reported over true variance, and coverage of the 95 % interval.
+
+            n       4          8          16         64         256
+            edges   1.5  .66   1.5  .81   1.8  .91   1.6  .97   1.5  .98
+            smooth  2.9  .94   2.3  .97   2.2  .98   1.5  .98   1.2  .97
         """
         return curvature_variance(terms.unflatten(0, strata(len(terms))))
 
@@ -88,12 +93,21 @@ def curvature_variance(cells: Tensor) -> Tensor:
     return squares.mul_(height * width / weight)
 
 
-CHOICE = 0.75
-"""Degrees of freedom that choosing cells by `steepness` takes. Reported over true variance of white noise without it: .81, .91, .96,
-.987, .992 at n = 4, 8, 16, 32, 64 for `Sobol` and `MultiJittered` alike; with it 0.99 to 1.015."""
-
-
 def steepness(terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """log2 |g_u / g_v| of the first moments g of the terms about the points' mean; 0 where both are 0."""
-    along_u, along_v = ((terms * (x - x.mean(0))).sum(0).abs_().log2_() for x in (u, v))
-    return along_u.sub_(along_v).nan_to_num_(nan=0.0)
+    """log2 |g_u / g_v| of the first moments g of the terms about the points' mean, times 5 R**2 if that is below 1; 0 for equal terms.
+
+    R**2 is the share of the terms' squares that a plane through them explains: 3/4 for an upright edge through the middle. Where it is
+    small, as for a disc or a line inside the square, the ratio says nothing about where f is steep.
+    """
+    along_u, along_v = ((terms * (x - x.mean(0))).sum(0).square_() for x in (u, v))
+    explained = (along_u + along_v) * (12 / len(terms)) / independent_variance(terms)
+    return (along_u.log2_() - along_v.log2_()).mul_((5 * explained).clamp_(max=1)).div_(2).nan_to_num_(nan=0.0)
+
+
+def choice_factor(n: int) -> float:
+    """What makes good that cells chosen by `steepness` show too little of white noise: 1 + (2 / n)**2, n >= 4.
+
+    Measured on normal terms, reported over true variance of `Sobol` and `MultiJittered` without it and with it: .80 to .83 and 1.00 to
+    1.04 at n = 4, .92 and .97 to .99 at 8, .98 and 1.00 at 16, 1.00 from 32 on.
+    """
+    return 1 + (2 / n) ** 2

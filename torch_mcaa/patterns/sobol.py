@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.patterns.base import Pattern, check_count, check_points, grid, independent_variance
-from torch_mcaa.patterns.jittered import CHOICE, curvature_variance, steepness
+from torch_mcaa.patterns.jittered import choice_factor, curvature_variance, steepness
 
 __all__ = ["Sobol"]
 
@@ -45,7 +45,11 @@ class Sobol(Pattern):
     def variance(self, terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
         """The sum of `net_variance` over the aligned blocks of 2**k points that n is made of; of 1 or 2 by their share of the plain spread.
 
-        @TABLE_S@
+        Measured as for `Jittered`.
+
+            n       8          16         20         63         64         256
+            edges   2.3  .84   2.4  .92   2.6  .94   4.3  .99   2.5  .98   2.5  .99
+            smooth  5.7  .99   9.0  1.0   7.0  1.0   16   1.0   28   1.0   110  1.0
         """
         n = terms.shape[0]
         if n < 4:
@@ -64,15 +68,17 @@ def net_variance(terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """`curvature_variance` of a net of n = 2**k points over the one of its grids, 1 x n, 2 x n / 2, ..., n x 1, that suits f best.
 
     A net has one point in each cell of all of them, and its error is that of the best: of columns / rows = |g_u / g_v| cells an edge
-    with normal g crosses fewest. The power 1.5 of the ratio is measured: noise in the smaller of the two makes the ratio too small.
+    with normal g crosses fewest. The power 1.5 of the ratio is measured: noise in the smaller makes it too small.
     """
     bits = len(terms).bit_length() - 1
-    wide = steepness(terms, u, v).mul_(1.5).add_(bits).div_(2).round_().clamp_(0, bits)
-    variance = torch.empty_like(terms[0])
+    wide = steepness(terms, u, v).mul_(1.5).add_(bits).div_(2).round_().clamp_(0, bits).flatten()
+    variance = torch.empty_like(wide)
     for power in range(bits + 1):
-        chosen = wide == power
-        variance[chosen] = curvature_variance(_by_cell(terms[:, chosen], u[:, chosen], v[:, chosen], 1 << power))
-    return variance.mul_(len(terms) / (len(terms) - CHOICE))
+        chosen = (wide == power).nonzero().squeeze(1)
+        # index_select is five times as fast as a mask
+        cells = _by_cell(*(x.flatten(1).index_select(1, chosen) for x in (terms, u, v)), 1 << power)
+        variance[chosen] = curvature_variance(cells)
+    return variance.mul_(choice_factor(len(terms))).view_as(terms[0])
 
 
 def _by_cell(terms: Tensor, u: Tensor, v: Tensor, width: int) -> Tensor:
