@@ -9,8 +9,8 @@ import pytest
 import torch
 
 import torch_mcaa as mcaa
-from torch_mcaa.grid import Screen
 from torch_mcaa.arguments import task_of
+from torch_mcaa.grid import Screen
 
 PROGRAM = """
 import hashlib, sys, torch, torch_mcaa as mcaa

@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 import torch
 
-from torch_mcaa.errors import McaaWarning
 from torch_mcaa.image_io import read_image
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -132,9 +131,7 @@ def test_crude(paper: ModuleType):
 
 def test_gains(paper: ModuleType):
     """Every strategy is below independent importance sampling in mean squared error, but for strata by (28); by 5 standard errors."""
-    with pytest.warns(McaaWarning, match="no second moment") as said:
-        rows = {row.what: row for row in paper.gains() if "largest" not in row.what}
-    assert len(said) == 1  # the weights of the strata by (28)
+    rows = {row.what: row for row in paper.gains() if "largest" not in row.what}
     narrow = next(what for what in rows if "(28)" in what)
     assert rows.pop(narrow).ratio > 1.5
     for row in rows.values():

@@ -184,8 +184,7 @@ def test_constants(chosen: mcaa.Importance, filter: mcaa.Gaussian) -> None:
     alike = (
         chosen == mcaa.Importance()
         or isinstance(chosen, mcaa.Crude | mcaa.OrderedStrata)
-        or (isinstance(chosen, mcaa.Stratified)
-        and chosen.kind == "filter")
+        or (isinstance(chosen, mcaa.Stratified) and chosen.kind == "filter")
     )
     if isinstance(chosen, mcaa.ControlVariate) or (alike and filter.absolute_integral == 1):
         # the integral of w is known to 1e-12

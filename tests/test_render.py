@@ -22,10 +22,10 @@ from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa import progress as progress_module
+from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell, Screen
-from torch_mcaa.arguments import task_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -63,7 +63,10 @@ def render(
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT in pixels; of an image, its own by default, else 512x512")] = None,
     spp: Annotated[int, typer.Option(help="evaluations a pixel, at most")] = 16,
     filter: Annotated[str, typer.Option(help="box, tent, gaussian:0.5, mitchell:1/3,1/3, lanczos:3, ...")] = "gaussian:0.5",
-    estimator: Annotated[str, typer.Option(help="auto, shared or importance")] = "auto",
+    estimator: Annotated[
+        str,
+        typer.Option(help="auto, shared, importance, crude, stratified, adaptive-importance, control-variate or ordered-strata"),
+    ] = "auto",
     tolerance: Annotated[float | None, typer.Option(help="absolute error to work for")] = None,
     seconds: Annotated[float | None, typer.Option(help="wall time after which to stop")] = None,
     extent: Annotated[str | None, typer.Option(help="x0,x1,y0,y1 in the scene's coordinates")] = None,
@@ -183,9 +186,18 @@ def _texture(path: str, transform: str | None, interpolation: str, wrap: str) ->
 
 
 def _estimator(name: str) -> Any:
-    from torch_mcaa import Auto, Importance, Shared
+    from torch_mcaa import AdaptiveImportance, Auto, ControlVariate, Crude, Importance, OrderedStrata, Shared, Stratified
 
-    known = {"auto": Auto, "shared": Shared, "importance": Importance}
+    known = {
+        "auto": Auto,
+        "shared": Shared,
+        "importance": Importance,
+        "crude": Crude,
+        "stratified": Stratified,
+        "adaptive-importance": AdaptiveImportance,
+        "control-variate": ControlVariate,
+        "ordered-strata": OrderedStrata,
+    }
     if name not in known:
         raise McaaError(f"unknown estimator {name!r}; choose from {', '.join(known)}")
     return known[name]()

@@ -74,7 +74,7 @@ class AdaptiveImportance(Pixelwise):
             u, v = pixels.points(self.pattern, size, inner)
             dx, dy, weight = model.sample(u, v)
             values, valid = pixels.evaluate(dx, dy)
-            rounds.append(weighted(values * weight, weight, valid, self.pattern, u, v))
+            rounds.append(weighted(values, weight, valid, self.pattern, u, v, bounded=True))
             if inner + 1 < self.rounds:
                 model.learn(values if valid is None else torch.where(valid, values, 0))
         weights = [1.0 if self.combine == "pooled" else math.sqrt(k + 1) for k in range(self.rounds)]

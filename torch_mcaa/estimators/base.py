@@ -118,7 +118,8 @@ def settled(variance: Tensor, value: Tensor, spp: float | Tensor) -> Tensor:
     """The variance, in place, with a floor for what no sample met, so that it is never 0 by ignorance; +inf where there is no value.
 
     The floor is the square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a
-    hundredth of a sample's area. A constant cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n.
+    hundredth of a sample's area; one over the number of pixels where they are fewer than a hundred, to bear each other out. A constant
+    cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n.
     """
     low = torch.nan_to_num(value, nan=torch.inf, posinf=torch.inf, neginf=-torch.inf).amin((-2, -1), keepdim=True)
     high = torch.nan_to_num(value, nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf).amax((-2, -1), keepdim=True)
@@ -126,7 +127,7 @@ def settled(variance: Tensor, value: Tensor, spp: float | Tensor) -> Tensor:
     magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
     rounding = 64 * torch.finfo(value.dtype).eps
     scale = torch.where(span > rounding * magnitude, span, torch.where(magnitude > 0, magnitude, torch.ones_like(magnitude)))
-    variance.add_((0.01 * scale / spp) ** 2)
+    variance.add_((scale / (spp * min(100, value[0].numel()))) ** 2)
     if not math.isfinite(value.sum().item()):
         variance.masked_fill_(~torch.isfinite(value), torch.inf)
     return variance

@@ -94,7 +94,7 @@ class ControlVariate(Pixelwise):
         dx, dy, weight = filter.sample(*(torch.cat(axis) for axis in zip(*drawn, strict=True)))
         values, valid = pixels.evaluate(dx, dy)
         if len(sizes) == 1:
-            return weighted(values * weight, weight, valid, self.pattern, *drawn[0])
+            return weighted(values, weight, valid, self.pattern, *drawn[0])
         kept = torch.ones_like(weight, dtype=torch.bool) if valid is None else valid
         columns, totals = _monomials(filter, self.order, dx, dy)
         share = kept.to(torch.float64) / kept.sum(0).clamp_min(1)
@@ -111,7 +111,10 @@ class ControlVariate(Pixelwise):
             part = share[fold].sum(0)
             moments = Moments.of(residual, 1, kept[fold])
             value = value + torch.where(part > 0, part * (moments.mean + integral), 0)
-            spread = spread + torch.stack([self.pattern.variance(channel, u, v) for channel in residual * share[fold]])
+            # what is left of an edge has lost the slope by which a net's grid is chosen, so without a fit it may tell the error better
+            plain = torch.where(kept[fold], weight[fold] * values[:, fold], 0)
+            variances = [[self.pattern.variance(each * share[fold], u, v) for each in terms] for terms in (residual, plain)]
+            spread = spread + torch.minimum(*(torch.stack(each) for each in variances))
             residuals.append(residual)
             predicted = predicted + torch.where(part > 0, part.square() * moments.variance_of_mean, 0)
         value = torch.where(kept.any(0), value, torch.nan)

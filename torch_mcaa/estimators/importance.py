@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from torch_mcaa.densities import Density, FilterDensity
-from torch_mcaa.errors import McaaError
+from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise
 from torch_mcaa.estimators.tail import pareto_k
 from torch_mcaa.estimators.weights import check_weights
 from torch_mcaa.filters import Box
 from torch_mcaa.moments import Moments
-from torch_mcaa.patterns import Independent, Pattern, Sobol
+from torch_mcaa.patterns import Independent, Lattice, Pattern, Sobol
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,6 +39,13 @@ class Importance(Pixelwise):
 
     def check(self, task: Task) -> None:
         super().check(task)
+        if isinstance(self.pattern, Lattice):
+            warnings.warn(
+                "Importance(Lattice()) has no point off its lattices, so its standard error is blind to tones on their dual vectors; "
+                "Shared(Lattice()) has, and Importance(Sobol()) needs none",
+                McaaWarning,
+                stacklevel=4,
+            )
         density = self._density(task)
         check_weights(task, density, repr(density), "use a density at least as wide as the filter, or a Mixture with FilterDensity")
 
@@ -47,7 +55,7 @@ class Importance(Pixelwise):
         dx, dy = density.sample(u, v)
         weight = pixels.task.filter(dx, dy) / density.pdf(dx, dy)
         values, valid = pixels.evaluate(dx, dy)
-        return weighted(values * weight, weight, valid, self.pattern, u, v)
+        return weighted(values, weight, valid, self.pattern, u, v)
 
     def _density(self, task: Task) -> Density:
         return FilterDensity(task.filter) if self.density is None else self.density
@@ -83,17 +91,24 @@ class Crude(Pixelwise):
         dx, dy = u - 0.5, v - 0.5
         weight = pixels.task.filter(dx, dy) if _within_pixel(pixels.task) else Box()(dx, dy)
         values, valid = pixels.evaluate(dx, dy)
-        return weighted(values * weight, weight, valid, Independent(), u, v)
+        return weighted(values, weight, valid, Independent(), u, v)
 
 
-def weighted(terms: Tensor, weight: Tensor, valid: Tensor | None, pattern: Pattern, u: Tensor, v: Tensor) -> Drawn:
-    """The mean of terms (C, n, P) that a pattern's points u, v (n, P) gave, with weights w / w' (n, P)."""
-    n = len(weight)
+def weighted(
+    values: Tensor, weight: Tensor, valid: Tensor | None, pattern: Pattern, u: Tensor, v: Tensor, bounded: bool = False
+) -> Drawn:
+    """The mean of f (C, n, P) times weights w / w' (n, P) over a pattern's points u, v (n, P).
+
+    With weights that are `bounded` only f itself can be without a second moment.
+    """
+    n, terms = len(weight), values * weight
     moments = Moments.of(terms, 1, valid)
     shares = (terms if valid is None else torch.where(valid, terms, 0)) / moments.count.clamp_min(1)[..., None, :]
     variance = torch.stack([pattern.variance(channel, u, v) for channel in shares])
     invalid = torch.zeros_like(weight[0]) if valid is None else n - valid.sum(0)
-    return Drawn(moments.mean, variance, moments.variance_of_mean, effective(weight), pareto_k(terms), invalid)
+    return Drawn(
+        moments.mean, variance, moments.variance_of_mean, effective(weight), pareto_k(values if bounded else terms), invalid
+    )
 
 
 def effective(weight: Tensor) -> Tensor:

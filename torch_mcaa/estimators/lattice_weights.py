@@ -73,11 +73,12 @@ class LatticeWeights:
             top // period, -(-bottom // period) - top // period, left, right - left, top // period - first, blocks, depth
         )
 
-    def along_y(self, cell: Cell, at: Geometry) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Weights (terms, B, R, depth, count), signs (3, depth) of the characters' changes over the strips, and the norm.
+    def along_y(self, cell: Cell, at: Geometry) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+        """Weights (terms, B, R, depth, count), signs (3, depth) of the characters' changes over the strips, the response, and the norm.
 
         B is 1 where all blocks have the same weights, else `at.blocks`. A pixel's weights sum to 1 over the samples on and off the
-        screen. Under boundary="renormalize" the norm (h, w) is what they sum to over the samples on it; else it is None.
+        screen. Under boundary="renormalize" the norm (h, w) is what they sum to over the samples on it; else it is None. The response
+        (3, B or 1, R, w or 1) has the three character sums of f = 1, of the f = 1 on the screen alone if that is what a constant is.
         """
         period, height = self.strip.period, self.task.screen.height
         first = at.strip - at.lead
@@ -92,15 +93,34 @@ class LatticeWeights:
             total = self.strip.count / period
         weight = (weight / total)[:, None]
         signs = torch.stack([1.0 - 2.0 * b * (strips % 2) for _, b in self.strip.parities])
+        everywhere = self._response(weight, signs, [self._taps_of(b)[..., None] for b in (False, True)])
         if self.task.boundary == "extend":
-            return weight, signs, None
+            return weight, signs, everywhere, None
         starts = (first + torch.arange(at.blocks) * self.block_strips) * period
         absolute = places + starts[:, None, None]
         weight = weight * ((absolute >= 0) & (absolute < height))[:, None]
         if self.task.boundary == "zero":
-            return weight, signs, None
-        norm = torch.einsum("tri,tic->rc", weight.flatten(1, 2).sum(2)[:, : cell.height], self._x_sums(cell, at))
-        return weight, signs, norm
+            return weight, signs, everywhere, None
+        norm = torch.einsum("tbri,tic->brc", weight.sum(3), self._x_sums(cell, at))
+        response = self._response(weight, signs, [self._x_sums(cell, at, b) for b in (False, True)])
+        # rows beyond the screen have no weights
+        response = torch.where(norm == 0, 0, response / norm)
+        return weight, signs, response, norm.flatten(0, 1)[: cell.height]
+
+    def _response(self, weight: Tensor, signs: Tensor, taps: list[Tensor]) -> Tensor:
+        """(3, B, R, width or 1) for what the factors along x sum to, (terms, count, width or 1), as they are and in turns of sign."""
+        characters = torch.from_numpy(self.strip.characters).to(torch.float64)
+        return torch.stack(
+            [
+                torch.einsum("tbrsi,s,i,tic->brc", weight, signs[j], characters[j], taps[a])
+                for j, (a, _) in enumerate(self.strip.parities)
+            ]
+        )
+
+    def _taps_of(self, alternate: bool) -> Tensor:
+        """(terms, count): what the factors along x sum to, with `alternate` those of odd k subtracted."""
+        k = torch.arange(-self.reach, self.reach + 1)[:, None]
+        return (self.along_x * (1 - 2 * (k % 2) * alternate)).sum(1)
 
     def _terms_along_y(self, d: Tensor) -> Tensor:
         """(terms, rows, strips, count): the factors along y at the differences d (rows, strips, count)."""
@@ -113,11 +133,11 @@ class LatticeWeights:
     def _sign(self, weight: Tensor) -> Tensor:
         return weight.abs() if self.absolute else weight
 
-    def _x_sums(self, cell: Cell, at: Geometry) -> Tensor:
-        """(terms, count, width): what the factors along x of the samples that exist sum to."""
+    def _x_sums(self, cell: Cell, at: Geometry, alternate: bool = False) -> Tensor:
+        """(terms, count, width): what the factors along x of the samples that exist sum to, as `_taps_of`."""
         sums = torch.zeros(len(self.along_x), cell.width, self.strip.count, dtype=torch.float64)
         for k in range(-self.reach, self.reach + 1):
             low, high = max(0, at.col - cell.col - k), min(cell.width, at.col + at.cols - cell.col - k)
             if low < high:
-                sums[:, low:high] += self.along_x[:, None, k + self.reach]
+                sums[:, low:high] += self.along_x[:, None, k + self.reach] * (-1 if alternate and k % 2 else 1)
         return sums.transpose(1, 2)

@@ -67,7 +67,7 @@ class OrderedStrata(Pixelwise):
             each = torch.bincount(stratum[:, 0], minlength=boxes.shape[1]).to(torch.float64)[:, None]
             measure = (boxes[1] - boxes[0]) * (boxes[3] - boxes[2])
             coefficient = weight * (measure / each).gather(0, stratum)
-            rounds.append(stratified(values * coefficient, coefficient, valid, stratum))
+            rounds.append(stratified(values, coefficient, valid, stratum))
         power = 1.0 if self.combine == "pooled" else 1.5
         weights = [0.0 if self.combine == "discard_pilot" and k < later else size**power for k, size in enumerate(sizes)]
         return combined(rounds, weights)

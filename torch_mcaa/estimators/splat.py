@@ -51,7 +51,7 @@ class Splat:
 
     With `contrast` a cell's sums hold the three character sums D_j = sum of character_j times weight times
     sample. They are the sums over the four cosets of the lattice's double, in other signs, and see what changes between neighbouring
-    samples.
+    samples. Those of a constant are subtracted, of which 1 alone has some: narrow filters do not cancel it.
     """
 
     def __init__(self, weights: LatticeWeights, cell: Cell, at: Geometry, contrast: bool) -> None:
@@ -59,12 +59,13 @@ class Splat:
         self.cell, self.at, self.contrast = cell, at, contrast
         self.reach, self.block_strips, self.rows = weights.reach, weights.block_strips, weights.block_strips * strip.period
         self.group = max(1, BLOCK // at.points)
-        along_y, signs, norm = weights.along_y(cell, at)
+        along_y, signs, response, norm = weights.along_y(cell, at)
 
         def place(tensor: Tensor) -> Tensor:
             return tensor.to(task.device, task.dtype).contiguous()
 
         self.norm = None if norm is None else place(norm)
+        self.response = place(response)
         size = _BLOCKS_A_BATCH * self.group
         self.batches: list[Batch] = []
         for start in range(0, strip.count, size):
@@ -138,8 +139,9 @@ class Splat:
         value = sums.plain[:, : self.rows].flatten(0, 1)[: self.cell.height]
         if sums.signed is None:
             return value, None
-        power = sums.plain[:, self.rows :].square()
-        for one in sums.signed.split(self.rows, 1):
+        level, power = sums.plain[:, : self.rows], torch.zeros_like(sums.plain[:, : self.rows])
+        for one, response in zip((sums.plain[:, self.rows :], *sums.signed.split(self.rows, 1)), self.response, strict=True):
+            one.addcmul_(level, response, value=-1)
             power.addcmul_(one, one)
         return value, power.flatten(0, 1)[: self.cell.height]
 

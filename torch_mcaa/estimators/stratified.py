@@ -111,10 +111,11 @@ class Stratified(Pixelwise):
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         if self.kind == "balance":
-            return stratified(*self._balanced(pixels, n))
+            return stratified(*self._balanced(pixels, n), bounded=self.defensive > 0)
+        bounded = self.kind == "filter"
         m = self.strata[0] * self.strata[1]
         if self.counts == "equal":
-            return stratified(*self._separate(pixels, torch.full((m, len(pixels)), n // m), n % m, 0))
+            return stratified(*self._separate(pixels, torch.full((m, len(pixels)), n // m), n % m, 0), bounded)
         each = max(_PILOT, n // (4 * m))
         left = n - each * m
         first = self._separate(pixels, torch.full((m, len(pixels)), each), 0, 0)
@@ -125,8 +126,8 @@ class Stratified(Pixelwise):
         second = self._separate(pixels, s, 0, 1)
         moments = moments.merge(_unit_moments(*second))
         predicted = moments.variance.sqrt().sum(1).square() / left
-        main = replace(stratified(*second), predicted=predicted)
-        return combined([stratified(*first), main], [0.0 if self.combine == "discard_pilot" else each * m, left])
+        main = replace(stratified(*second, bounded), predicted=predicted)
+        return combined([stratified(*first, bounded), main], [0.0 if self.combine == "discard_pilot" else each * m, left])
 
     def _normals(self, task: Task) -> list[Normal]:
         """rho_hj about each sub-pixel's centre, row by row."""
@@ -147,7 +148,7 @@ class Stratified(Pixelwise):
     def _separate(self, pixels: Pixels, s: Tensor, rest: int, inner: int) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
         """Strata that estimate their parts by themselves: s (m, P) points each, and one more in the first `rest`.
 
-        Returns terms (C, n, P) whose sum is the estimate, coefficients of f (n, P), where f was finite, and the stratum (n, P).
+        Returns f (C, n, P), its coefficients (n, P) in the estimate, where it was finite, and the stratum (n, P).
         """
         (m1, m2), task = self.strata, pixels.task
         s = s.to(pixels.rows.device).clone()
@@ -167,7 +168,7 @@ class Stratified(Pixelwise):
             coefficient = task.filter(dx, dy) / (m1 * m2 * own.pdf(x, y))
         values, valid = pixels.evaluate(dx, dy)
         coefficient = coefficient / s.gather(0, stratum)
-        return values * coefficient, coefficient, valid, stratum
+        return values, coefficient, valid, stratum
 
     def _balanced(self, pixels: Pixels, n: int) -> tuple[Tensor, Tensor, Tensor | None, Tensor]:
         task, normals = pixels.task, self._normals(pixels.task)
@@ -186,29 +187,36 @@ class Stratified(Pixelwise):
         coefficient = task.filter(dx, dy) / mixture
         values, valid = pixels.evaluate(dx, dy)
         index = torch.arange(m + 1, device=u.device).repeat_interleave(torch.tensor(s, device=u.device))
-        return values * coefficient, coefficient, valid, index[:, None].expand_as(u)
+        return values, coefficient, valid, index[:, None].expand_as(u)
 
 
-def _unit_moments(terms: Tensor, coefficient: Tensor, valid: Tensor | None, stratum: Tensor) -> Moments:
+def _unit_moments(values: Tensor, coefficient: Tensor, valid: Tensor | None, stratum: Tensor) -> Moments:
     """(C, m, P) moments of f w / (m rho_j): of the terms as if each stratum had one."""
     strata = int(stratum.max()) + 1
-    count = torch.zeros(strata, stratum.shape[1], dtype=terms.dtype, device=terms.device)
+    count = torch.zeros(strata, stratum.shape[1], dtype=values.dtype, device=values.device)
     count.scatter_add_(0, stratum, torch.ones_like(coefficient))
-    return Moments.by_stratum(terms * count.gather(0, stratum), stratum, strata, valid)
+    return Moments.by_stratum(values * coefficient * count.gather(0, stratum), stratum, strata, valid)
 
 
-def stratified(terms: Tensor, coefficient: Tensor, valid: Tensor | None, stratum: Tensor) -> Drawn:
-    """The sum of terms (C, n, P), coefficient (n, P) times f, of which those of one `stratum` (n, P) are alike; its variance is (12)."""
+def stratified(values: Tensor, coefficient: Tensor, valid: Tensor | None, stratum: Tensor, bounded: bool = True) -> Drawn:
+    """The sum of coefficient (n, P) times f (C, n, P), of which the terms of one `stratum` (n, P) are alike; its variance is (12).
+
+    With weights that are `bounded` only f itself can be without a second moment.
+    """
     invalid = torch.zeros_like(coefficient[0])
+    terms = values * coefficient
     if valid is not None:
         invalid = len(valid) - valid.sum(0)
         kept = torch.where(valid, coefficient.abs(), 0).sum(0)
         terms = terms * torch.where(kept > 0, coefficient.abs().sum(0) / kept, torch.nan)
         terms = torch.where(valid | (kept == 0), terms, 0)
-    moments = Moments.by_stratum(terms, stratum, int(stratum.max()) + 1)
-    # a stratum of one point has no variance of its own: that of all terms is larger on the mean
-    alone = Moments.of(terms, 1).variance[:, None]
+    strata = int(stratum.max()) + 1
+    moments = Moments.by_stratum(terms, stratum, strata)
+    # a stratum of one point has no variance of its own: that of all terms, as if their coefficients were alike, is larger on the mean
+    typical = Moments.by_stratum(coefficient.abs()[None], stratum, strata).mean[0]
+    alike = (terms / typical.gather(0, stratum)).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
+    alone = Moments.of(alike, 1).variance[:, None] * typical.square()
     variance = (moments.count * torch.where(moments.count > 1, moments.variance, alone)).nan_to_num(posinf=torch.inf)
     variance = torch.where(moments.count > 0, variance, 0).sum(1)
-    reported = variance * torch.stack([skewness_factor(channel) for channel in terms])
-    return Drawn(terms.sum(1), reported, variance, effective(coefficient), pareto_k(terms), invalid)
+    reported = variance * torch.stack([skewness_factor(channel) for channel in alike])
+    return Drawn(terms.sum(1), reported, variance, effective(coefficient), pareto_k(values if bounded else alike), invalid)
