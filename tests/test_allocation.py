@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from torch_mcaa.allocation import Allocation, EqualVariance, Neyman, Uniform
+from torch_mcaa.allocation import Allocation, EqualVariance, Neyman, Uniform, dense
 from torch_mcaa.errors import McaaError
 from torch_mcaa.strata import strata_counts
 
@@ -321,3 +321,17 @@ def test_bad_predicted(allocation: Allocation):
 def test_bad_strata(spread: Tensor, total: int, floor: int, message: str):
     with pytest.raises(McaaError, match=message):
         strata_counts(spread, total, floor)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(0, 3000), min_size=1, max_size=300))
+def test_dense_counts(counts: list[int]) -> None:
+    """Few values, none more than 7 % and one off, in their old order, with their old sum."""
+    before = torch.tensor(counts)
+    after = dense(before)
+    assert after.sum() == before.sum()
+    assert ((after - before).abs() <= 0.07 * before + 1).all()
+    assert (after[before.argsort(stable=True)].diff() >= -1).all()
+    assert (after == 0).equal(before == 0)
+    # two values in each of log(3001) / log(1.07) bands
+    assert len(after.unique()) <= 2 * 119

@@ -103,10 +103,10 @@ def test_15_and_neyman(paper: ModuleType):
     common, largest, total, least = paper.between_pixels()
     close(common, slack=0.02)
     close(total, slack=0.01)
-    # flat pixels take one evaluation each, 1 % of all, and whole numbers the rest
+    # flat pixels take two evaluations each, and counts within 7 % of each other are evened out
     assert 1 <= largest.ratio < 1.5
     assert 1 <= least.ratio < 1.08
-    assert largest.ratio < 1.03 and least.ratio < 1.02
+    assert largest.ratio < 1.09 and least.ratio < 1.02
 
 
 def test_pilots(paper: ModuleType):

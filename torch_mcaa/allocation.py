@@ -81,9 +81,11 @@ class _Greedy(Allocation):
             raise McaaError(
                 f"known must be a (H, W) tensor, got {type(self.known).__name__}: pass for instance frame.stderr**2 * spp"
             )
-        # a closed form such as phi (1 - phi) may round to just below 0
-        rounding = 1e-6 * self.known.abs().max() if self.known.numel() else 0
-        values = _picture("known", torch.where((self.known < 0) & (self.known >= -rounding), 0, self.known))
+        known = self.known
+        if known.is_floating_point() and known.numel():
+            # a closed form such as phi (1 - phi) may round to just below 0
+            known = torch.where((known < 0) & (known >= -1e-6 * known.abs().max()), 0, known)
+        values = _picture("known", known)
         if not values.isfinite().all():
             bad = int((~values.isfinite()).sum())
             raise McaaError(
@@ -186,6 +188,27 @@ class Uniform(Allocation):
         """The sum of the pixels' variances, to compare with Neyman's: (10) with n_h = total / pixels."""
         check_whole("total", total, 1)
         return _sum(_usable(variance)) * variance.numel() / total
+
+
+def dense(counts: Tensor) -> Tensor:
+    """Counts of few different values, for pixels of one count are sampled together: those within 7 % of each other are evened out.
+
+    No count leaves its band [1.07^k, 1.07^(k + 1)) but for rounding up, and their sum stays what it is; any shape, int64.
+    """
+    flat = counts.reshape(-1)
+    values, sizes = flat.unique(return_counts=True)
+    bands: dict[int, list[tuple[int, int]]] = {}
+    for value, size in zip(values.tolist(), sizes.tolist(), strict=True):
+        if value > 0:
+            bands.setdefault(math.floor(math.log(value) / math.log(1.07)), []).append((value, size))
+    evened = flat.clone()
+    for band in bands.values():
+        if len(band) > 2:
+            each, more = divmod(sum(value * size for value, size in band), sum(size for _, size in band))
+            places = ((flat >= band[0][0]) & (flat <= band[-1][0])).nonzero().squeeze(1)
+            evened[places] = each
+            evened[places[flat[places].argsort(descending=True, stable=True)[:more]]] += 1
+    return evened.view_as(counts)
 
 
 def _even(chosen: Tensor, total: int) -> Tensor:

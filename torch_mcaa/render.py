@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torch_mcaa.allocation import Uniform
+from torch_mcaa.allocation import Uniform, dense
 from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators import Auto, Estimate, Estimator, Pixelwise, PixelwiseRound, Round, Task
@@ -126,15 +126,17 @@ def _rendering(work: _Work, stopped: Stopped, seconds: float) -> Rendering:
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
         bias.append("samples that were not finite were left out")
     diagnostics = picture.diagnostics
-    if diagnostics is not None:
-        heavy = int(((diagnostics.pareto_k > 0.5) & picture.variance.isinf()).any(0).sum())
-        if heavy:
-            warnings.warn(
-                f"in {heavy} pixels the samples look as if f had no second moment (pareto_k above 0.5): their standard error is +inf; "
-                "clamp f, take more samples, or another density",
-                McaaWarning,
-                stacklevel=3,
-            )
+    without = picture.variance.isinf() & picture.value.isfinite()
+    # one evaluation has no variance either, whatever f is
+    without &= picture.points > 1 if diagnostics is None else diagnostics.pareto_k > 0.5
+    heavy = int(without.any(0).sum())
+    if heavy:
+        warnings.warn(
+            f"in {heavy} pixels the samples look as if f had no second moment: their standard error is +inf; "
+            "clamp f, take more samples, or another density",
+            McaaWarning,
+            stacklevel=3,
+        )
     return Rendering(
         image=picture.value,
         stderr=picture.variance.sqrt_(),
@@ -263,7 +265,7 @@ class _Work:
         shares = chosen.allocation.counts(spread[inside][None], total, self._floor, cap)
         self.predicted_optimum = chosen.allocation.predicted(spread[inside][None], total)
         counts = torch.zeros_like(inside, dtype=torch.int64)
-        counts[inside] = shares[0].to(torch.int64)
+        counts[inside] = dense(shares[0])
         return PixelwiseRound(chosen, self.task, total / pixels, self.number, counts)
 
     def _spread(self) -> Tensor:

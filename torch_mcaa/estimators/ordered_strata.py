@@ -15,6 +15,8 @@ from torch_mcaa.patterns import Independent
 
 _FIRST = 4
 """One part in so many of the evaluations is the first round."""
+_MOST = 64
+"""Rectangles a pixel: more points than twice as many share them."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,7 +27,7 @@ class OrderedStrata(Pixelwise):
     same modulus. The first round has a grid of them. For each later one the square is cut anew from all points met so far: again
     and again the rectangle with the largest measure times standard deviation, across the axis with which the values correlate most, at the point that
     leaves least of that product. Points on a border count on both sides, so what lies between the last of one colour and the first of the
-    next becomes a rectangle of its own. Then two fresh points are drawn in each rectangle.
+    next becomes a rectangle of its own. Then two fresh points are drawn in each rectangle, one in either half.
 
     Unbiased, since a round's strata depend on earlier rounds alone; the two points of a stratum give its variance without bias. "fixed" weighs
     the rounds by their evaluations to the power 3/2, "pooled" by their evaluations, "discard_pilot" keeps the last alone.
@@ -58,7 +60,7 @@ class OrderedStrata(Pixelwise):
         for inner, size in enumerate(sizes):
             if met:
                 xs, ys, terms = zip(*met, strict=True)
-                boxes = cut(torch.cat(xs), torch.cat(ys), torch.cat(terms, 1), max(1, size // 2))
+                boxes = cut(torch.cat(xs), torch.cat(ys), torch.cat(terms, 1), min(_MOST, max(1, size // 2)))
             stratum = torch.arange(size, device=pixels.rows.device)[:, None].expand(-1, len(pixels)) % boxes.shape[1]
             x, y = _points(pixels, boxes, size, inner)
             dx, dy, weight = pixels.task.filter.sample(x, y)
