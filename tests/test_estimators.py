@@ -14,8 +14,6 @@ from torch_mcaa import scenes
 from torch_mcaa.patterns.lattice_search import dual_vectors
 from torch_mcaa.patterns.lattice_table import STRIPS
 
-# per-pixel lattices have a warning of their own
-pytestmark = pytest.mark.filterwarnings("ignore:Importance.Lattice:torch_mcaa.McaaWarning")
 EDGES = [name for name in FAMILIES if "edges" in name or name in ("discs", "0.1 px lines")]
 PATTERNS = [mcaa.Independent(), mcaa.Jittered(), mcaa.MultiJittered(), mcaa.Sobol(), mcaa.Lattice()]
 ESTIMATORS = [mcaa.Importance(p) for p in PATTERNS] + [mcaa.Shared(p) for p in PATTERNS] + [mcaa.Shared(replicates=3)]

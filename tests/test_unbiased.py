@@ -79,8 +79,6 @@ def usable(chosen: mcaa.Importance, filter: mcaa.Gaussian) -> bool:
     return not isinstance(chosen, mcaa.Crude)
 
 
-# the lattice has a warning of its own
-pytestmark = pytest.mark.filterwarnings("ignore:Importance.Lattice:torch_mcaa.McaaWarning")
 CASES = [(chosen, filter) for chosen in ESTIMATORS for filter in FILTERS if usable(chosen, filter)]  # type: ignore[arg-type]
 
 

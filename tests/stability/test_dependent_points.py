@@ -42,16 +42,17 @@ def test_11_resonance(chosen: mcaa.Shared) -> None:
 def test_11_resonance_of_a_pixel_by_itself() -> None:
     """`Importance(Lattice())` under a box: a tone on the dual of the pixel's lattice, whole in the pixel so that each is exactly 0.5.
 
-    Naive: every difference of neighbours is 0, so a variance of 0, beside a root mean square error of 0.35.
+    Naive: every difference of neighbours is 0, so a variance of 0, beside a root mean square error of 0.35. No point is off the lattice, so it is
+    said that this error would not be seen; the net that is recommended instead reports its own.
     """
     generator = best_generator(15, 1)
     u, v = reduced_basis(np.array([1.0, -float(generator)]), np.array([0.0, 15.0]))[0]
-    picture = mcaa.render(
-        tone(float(u), float(v), 0.0), (32, 32), filter=mcaa.Box(), estimator=mcaa.Importance(mcaa.Lattice()), spp=15
-    )
-    error = rms(picture.image - 0.5)
-    assert error > 0.3
-    assert rms(picture.stderr) > 0.5 * error
+    wave = tone(float(u), float(v), 0.0)
+    with pytest.warns(mcaa.McaaWarning, match="blind to tones"):
+        picture = mcaa.render(wave, (32, 32), filter=mcaa.Box(), estimator=mcaa.Importance(mcaa.Lattice()), spp=15)
+    assert rms(picture.image - 0.5) > 0.3
+    picture = mcaa.render(wave, (32, 32), filter=mcaa.Box(), estimator=mcaa.Importance(), spp=16)
+    assert 0.5 < rms(picture.stderr) / rms(picture.image - 0.5) < 2.5
 
 
 def edge(angle: float) -> Function:
