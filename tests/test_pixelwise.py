@@ -154,6 +154,7 @@ def test_labels_of_bias() -> None:
 def test_names_say_what_differs_from_the_defaults() -> None:
     assert repr(mcaa.Importance()) == "Importance()"
     assert repr(mcaa.AdaptiveImportance(3, mcaa.Mixture)) == "AdaptiveImportance(rounds=3, density=Mixture)"
+    assert repr(mcaa.Importance(allocation=mcaa.Neyman(torch.ones(4, 5)))) == "Importance(allocation=Neyman(known=<4 x 5>))"
     assert repr(mcaa.Stratified((4, 4), weights="paper")) == "Stratified(strata=(4, 4), weights='paper')"
 
 
@@ -218,6 +219,9 @@ def test_stratified_with_a_density_too_narrow_is_refused() -> None:
         (lambda: mcaa.AdaptiveImportance(density=mcaa.Normal), "class Histogram or Mixture"),
         (lambda: mcaa.AdaptiveImportance(density=mcaa.Histogram([[1.0]], 1.0)), "class Histogram or Mixture"),  # type: ignore[arg-type]
         (lambda: mcaa.OrderedStrata(True), "rounds must be an integer from 2"),
+        (lambda: mcaa.Importance(mcaa.Normal(0.3)), "pattern must be a pattern"),  # type: ignore[arg-type]
+        (lambda: mcaa.ControlVariate(pattern=mcaa.Sobol), "pattern must be a pattern"),  # type: ignore[arg-type]
+        (lambda: mcaa.Importance(density="normal"), "density must be a density"),  # type: ignore[arg-type]
         (lambda: mcaa.Importance(combine="best"), "'discard_pilot', 'fixed' or 'pooled'"),  # type: ignore[arg-type]
         (lambda: mcaa.Importance(allocation="neyman"), "allocation must be"),  # type: ignore[arg-type]
         (lambda: mcaa.Importance(allocation=mcaa.Neyman), "allocation must be"),  # type: ignore[arg-type]

@@ -60,7 +60,7 @@ class Allocation(ABC):
         """
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class _Greedy(Allocation):
     """`floor` everywhere, then one evaluation at a time to the pixel below `cap` that gains most; even where there is no variance.
 
@@ -92,6 +92,9 @@ class _Greedy(Allocation):
                 f"known must be finite, got {bad} values of {values.numel()} that are not: put the largest finite one there"
             )
         object.__setattr__(self, "known", values.clone())
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({'' if self.known is None else f'known=<{self.known.shape[0]} x {self.known.shape[1]}>'})"
 
     @abstractmethod
     def _gain(self, variance: Tensor, n: Tensor) -> Tensor:
@@ -133,7 +136,7 @@ class _Greedy(Allocation):
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class EqualVariance(_Greedy):
     """n_h ∝ variance, (14): every pixel the same variance, which is the least that the largest can be.
 
@@ -153,7 +156,7 @@ class EqualVariance(_Greedy):
 
 
 @final
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Neyman(_Greedy):
     """n_h ∝ √variance (Neyman 1934): the least sum of the pixels' variances, that is the least mean squared error.
 

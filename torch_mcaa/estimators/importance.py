@@ -34,6 +34,11 @@ class Importance(Pixelwise):
     pattern: Pattern = field(default_factory=Sobol)
     density: Density | None = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.density is not None and not isinstance(self.density, Density):
+            raise McaaError(f"density must be a density such as Normal(0.3), or None for that of the filter, got {self.density!r}")
+
     def count(self, spp: int) -> int:
         return self.pattern.count(spp)
 

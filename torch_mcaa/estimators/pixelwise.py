@@ -120,6 +120,9 @@ class Pixelwise(Estimator):
             raise McaaError(f"allocation must be Uniform(), EqualVariance() or Neyman(), got {self.allocation!r}")
         if self.combine not in ("discard_pilot", "fixed", "pooled"):
             raise McaaError(f"combine must be 'discard_pilot', 'fixed' or 'pooled', got {self.combine!r}")
+        pattern = getattr(self, "pattern", None)
+        if pattern is not None and not isinstance(pattern, Pattern):
+            raise McaaError(f"pattern must be a pattern such as Sobol() or Independent(), got {pattern!r}")
 
     def __repr__(self) -> str:
         said = []
