@@ -22,7 +22,7 @@ class Rendering:
 
     Attributes:
         image: (C, H, W) estimate of the pixel values (1). NaN where an interrupted or timed run has nothing.
-        stderr: (C, H, W) standard error of `image`; never 0 by ignorance, +inf where `image` is NaN.
+        stderr: (C, H, W) standard error of `image`; never 0 by ignorance, +inf where `image` is NaN or f was found to have no second moment.
         spp: (H, W) int32 evaluations of f spent on each pixel.
         invalid: (H, W) int32 how many of them were NaN or infinite.
         model: (H, W) uint8, what was used in each pixel: an index into `models`.

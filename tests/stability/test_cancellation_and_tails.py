@@ -150,6 +150,7 @@ def heavy(chosen: mcaa.Importance, spp: int, seed: int) -> tuple[int, mcaa.Rende
     """How many pixels have no standard error, which a warning must say if there are any; and the picture."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        warnings.filterwarnings("ignore", "Importance.Lattice")
         picture = mcaa.render(pole, (17, 9), estimator=chosen, spp=spp, seed=seed, extent=(4, 13, 4, 21))
     without = int(picture.stderr.isinf().any(0).sum())
     assert [w.category for w in caught] == [McaaWarning] * (without > 0)

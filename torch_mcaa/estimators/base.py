@@ -55,6 +55,7 @@ class Estimate:
         points: (h, w) int32, the evaluations of f that lie in each pixel.
         invalid: (h, w) int32, how many of them were not finite.
         diagnostics: of estimators that draw points for each pixel, else None.
+        heavy: (h, w) bool, the pixels in which f was found to have no second moment by an estimator without diagnostics; None if in none.
     """
 
     value: Tensor
@@ -62,6 +63,7 @@ class Estimate:
     points: Tensor
     invalid: Tensor
     diagnostics: Diagnostics | None = None
+    heavy: Tensor | None = None
 
 
 class Round(ABC):

@@ -7,6 +7,7 @@ would be is known, and f can be asked there more closely: about a pole the value
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +19,11 @@ from torch_mcaa.estimators.tail import hill
 from torch_mcaa.grid import Cell
 
 _MOST = 8
-"""Places in a channel of a cell that are looked at, the highest ones."""
-_APART = 1.0
-"""Pixels between two places."""
+"""Rows of samples of a channel that are looked at in a cell, the brightest ones."""
+_ABOVE = 2.2
+"""What a row's sum of squares is above the mean over a pixel either side. An edge along the rows makes it 2, a pole much more."""
+_SHARE = 0.25
+"""What one sample's square is of its row's sum of squares, at least."""
 _SIDE = 8
 """Points along a side of a window."""
 _ZOOMS = 4
@@ -31,71 +34,78 @@ _GROWTH = 1.5
 """What the median modulus grows by from window to window, at least: r^-0.6 grows by 2.3, along a line or about a point."""
 
 
+# (strips, planes) of some rows of samples, (K,) each, and a channel -> the samples, and their float64 screen rows and columns, (K, cols) each
+Fetch = Callable[[Tensor, Tensor, int], tuple[Tensor, Tensor, Tensor]]
+
+
 @dataclass(frozen=True)
 class _Place:
-    """Where a sample stood out, in pixels of the screen."""
+    """A sample that stands out, in pixels of the screen."""
 
-    height: float
     row: float
     col: float
 
 
 class Poles:
-    """The samples of a cell that stand out, and what f does about them. `density`: samples in a pixel."""
+    """The rows of a cell's samples, and what f does where one of them stands out.
 
-    def __init__(self, task: Task, cell: Cell, density: float) -> None:
-        self.task, self.cell, self.density = task, cell, density
-        self.places: dict[int, list[_Place]] = {}
+    Of two poles in a cell that lie in the same two rows of pixels only the higher is found.
 
-    def look(self, channel: int, values: Tensor, row: Tensor, col: Tensor) -> None:
-        """Note what stands out of samples (strips, planes, cols) at float64 screen rows and columns that expand to them.
+    Args:
+        density: samples in a pixel.
+        order: the planes of a strip from top to bottom.
+    """
 
-        A sample does if its square is above a tenth of what its strip's sum of squares is above that of the strips beside it, and that a
-        twentieth of the strip's own.
-        """
-        # rows of samples, not larger parts: their sums have the same bits for every number of threads
-        norms = torch.linalg.vector_norm(values, dim=2).cpu().numpy().astype(np.float64)
-        energy = np.square(norms).sum(1)
-        excess = energy.copy()
-        if len(energy) > 1:
-            padded = np.concatenate([energy[1:2], energy, energy[-2:-1]])
-            excess -= (padded[2:] + padded[:-2]) / 2
-        standing = (excess > 0.05 * energy).nonzero()[0]
-        if not len(standing):
-            return
-        planes = norms[standing].argmax(1)
-        standing = standing[norms[standing, planes] ** 2 > 0.1 * excess[standing]]
-        planes = norms[standing].argmax(1)
-        if not len(standing):
-            return
-        rows = values[torch.from_numpy(standing), torch.from_numpy(planes)].abs().cpu().numpy()
-        heights, cols = rows.max(1).astype(np.float64), rows.argmax(1)
-        high = heights**2 > 0.1 * excess[standing]
-        if not high.any():
-            return
-        row, col = row.expand(values.shape), col.expand(values.shape)
-        found = self.places.setdefault(channel, [])
-        for height, *index in zip(heights[high], standing[high], planes[high], cols[high], strict=True):
-            found.append(_Place(float(height), float(row[tuple(index)]), float(col[tuple(index)])))
+    def __init__(self, task: Task, cell: Cell, density: float, order: np.ndarray) -> None:
+        self.task, self.cell, self.density, self.order = task, cell, density, order
+        self._norms: dict[int, list[Tensor]] = {}
 
-    def heavy(self, channels: int) -> Tensor | None:
+    def add(self, channel: int, values: Tensor) -> None:
+        """Take note of samples (strips, planes, cols), the next planes."""
+        # of rows, not larger parts: these sums have the same bits for every number of threads
+        self._norms.setdefault(channel, []).append(torch.linalg.vector_norm(values, dim=2))
+
+    def heavy(self, fetch: Fetch) -> Tensor | None:
         """(C, h, w) bool: the pixels whose filter reaches a place where f has no second moment; None if there is no such place."""
         reached = None
-        for channel, found in self.places.items():
-            for place in self._unbounded(channel, self._highest(found)):
+        for channel in self._norms:
+            for place in self._unbounded(channel, self._places(channel, fetch)):
                 if reached is None:
-                    reached = torch.zeros(channels, self.cell.height, self.cell.width, dtype=torch.bool, device=self.task.device)
+                    shape = (len(self._norms), self.cell.height, self.cell.width)
+                    reached = torch.zeros(shape, dtype=torch.bool, device=self.task.device)
                 reached[channel] |= self._reach(place)
         return reached
 
-    def _highest(self, found: list[_Place]) -> list[_Place]:
-        chosen: list[_Place] = []
-        for place in sorted(found, key=lambda p: (-p.height, p.row, p.col)):
+    def _places(self, channel: int, fetch: Fetch) -> list[_Place]:
+        """What stands out of a channel's samples."""
+        norms = torch.cat(self._norms[channel], 1).cpu().numpy()[:, self.order]
+        # where squares overflow nothing is found, and the standard error is +inf by itself
+        with np.errstate(over="ignore", invalid="ignore"):
+            energy = np.square(norms, dtype=np.float64).ravel()
+            near = math.ceil(self.density)
+            # beyond the first and the last row there are zeros: a constant is then less than twice the mean
+            padded = np.zeros(len(energy) + 2 * near + 1)
+            padded[near + 1 : near + 1 + len(energy)] = energy
+            total = padded.cumsum(out=padded)
+            around = total[2 * near + 1 :] - total[: -2 * near - 1]
+            standing = (energy * (2 * near + 1) > _ABOVE * around).nonzero()[0]
+        if not len(standing):
+            return []
+        chosen: list[int] = []
+        for one in standing[np.argsort(-energy[standing], kind="stable")].tolist():
+            if all(abs(one - other) > near for other in chosen):
+                chosen.append(one)
             if len(chosen) == _MOST:
                 break
-            if all(max(abs(place.row - p.row), abs(place.col - p.col)) > _APART for p in chosen):
-                chosen.append(place)
-        return chosen
+        strips, planes = (
+            torch.tensor(chosen) // len(self.order),
+            torch.from_numpy(self.order)[torch.tensor(chosen) % len(self.order)],
+        )
+        values, rows, cols = fetch(strips, planes, channel)
+        squares = values.to("cpu", torch.float64).square()
+        highest = squares > _SHARE * torch.from_numpy(energy[chosen])[:, None]
+        rows, cols = rows.expand(values.shape)[highest], cols.expand(values.shape)[highest]
+        return [_Place(row, col) for row, col in zip(rows.tolist(), cols.tolist(), strict=True)]
 
     def _reach(self, place: _Place) -> Tensor:
         """(h, w) bool: the pixels whose filter is not 0 there."""
@@ -106,6 +116,8 @@ class Poles:
 
     def _unbounded(self, channel: int, places: list[_Place]) -> list[_Place]:
         """Those of the places about which f grows from window to window, with a tail index above 1/2 inside them."""
+        if not places:
+            return []
         task, screen = self.task, self.task.screen
         asked = screen.coordinate_dtype(self.cell, task.dtype)
         half = 1.5 / math.sqrt(self.density)
@@ -128,9 +140,9 @@ class Poles:
             median = values.median(1).values
             growing = median > (_GROWTH * middle if zoom else 0)
             places = [place for place, grows in zip(places, growing.tolist(), strict=True) if grows]
+            values, middle, index, cols, rows = (t[growing] for t in (values, median, index, cols, rows))
             if not places:
                 break
-            values, middle, index, cols, rows = (t[growing] for t in (values, median, index, cols, rows))
             if zoom:
                 index += hill(values.T) / zooms
             highest = values.argmax(1, keepdim=True)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -9,6 +13,7 @@ from torch_mcaa import rng
 from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
+from torch_mcaa.estimators.poles import Poles
 from torch_mcaa.estimators.splat import Splat, Sums
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
@@ -32,6 +37,7 @@ class LatticeRound(Round):
         self.counts = torch.from_numpy(counts).to(torch.int32)
         self.per_pixel = float(counts.sum()) / self.strip.period
         self.weights = LatticeWeights(task, self.strip)
+        self.order = np.argsort(self.strip.y)
         self._splats: dict[tuple[int, ...], Splat] = {}
 
     def points(self, cell: Cell) -> int:
@@ -44,12 +50,14 @@ class LatticeRound(Round):
         task = self.task
         at = self.weights.geometry(cell)
         splat = self._splat(cell, at)
-        value, power, extra, left, invalid = self._sums(cell, at, splat, None)
+        poles = Poles(task, cell, self.per_pixel, self.order)
+        value, power, extra, left, invalid = self._sums(cell, at, splat, None, poles)
         if invalid is not None:
             # samples that are not finite count as 0; each pixel learns what share of its weights, or of their moduli, is left
             weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
             masks = Splat(weights, cell, at, contrast=False)
-            value, power, extra, left, invalid = self._sums(cell, at, splat, masks)
+            poles = Poles(task, cell, self.per_pixel, self.order)
+            value, power, extra, left, invalid = self._sums(cell, at, splat, masks, poles)
         variance = torch.zeros_like(value)
         if power is not None:
             variance = pooled(power).mul_(1 / CHARACTER_RATIO)
@@ -64,10 +72,13 @@ class LatticeRound(Round):
             value, variance = value / splat.norm, variance / splat.norm.square()
         if self.contrast:
             variance = settled(variance, value, self.per_pixel)
+        heavy = poles.heavy(partial(self._row, cell, at))
+        if heavy is not None:
+            variance.masked_fill_(heavy, torch.inf)
         points = self._row_points(cell).to(task.device)[:, None].expand(cell.height, cell.width)
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
-        return Estimate(value, variance, points, invalid)
+        return Estimate(value, variance, points, invalid, heavy=None if heavy is None else heavy.any(0))
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
@@ -80,7 +91,7 @@ class LatticeRound(Round):
         return self._splats[key]
 
     def _sums(
-        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None
+        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None, poles: Poles
     ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
         """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), share of weights left (h, w), and counts.
 
@@ -124,6 +135,7 @@ class LatticeRound(Round):
                     if len(sums) <= channel:
                         sums.append(splat.start(channel))
                         held.append({})
+                    poles.add(channel, value)
                     splat.weigh(sums[channel], batch, group, value)
                     if self.audit is not None:
                         for plane in self.audit.planes:
@@ -152,6 +164,18 @@ class LatticeRound(Round):
             left = masks.finish(kept)[0] / masks.finish(full)[0]
         return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, extra, left, counts
 
+    def _row(self, cell: Cell, at: Geometry, strips: Tensor, planes: Tensor, channel: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Some rows of samples again, for `Poles`: kept, they would be all of them."""
+        task = self.task
+        asked = task.screen.coordinate_dtype(cell, task.dtype)
+        col = torch.arange(at.col, at.col + at.cols, dtype=torch.float64) + torch.from_numpy(self.strip.x)[planes][:, None]
+        row = ((at.strip + strips) * self.strip.period + torch.from_numpy(self.strip.y)[planes])[:, None]
+        integrand = replace(task.integrand, nonfinite="ignore")
+        x, y = task.screen.x_of(col).to(task.device, asked), task.screen.y_of(self._on_screen(row)).to(task.device, asked)
+        values = integrand(x, y)[channel]
+        task.integrand.evaluations += integrand.evaluations
+        return values.masked_fill(~values.isfinite(), 0), row, col
+
     def _on_screen(self, row: Tensor) -> Tensor:
         """Rows of strips that reach over a screen outside which f is not asked; their weights are 0."""
         if self.task.boundary == "extend":
@@ -176,4 +200,7 @@ class ReplicatedRound(Round):
         value = values.mean(0)
         points = torch.stack([e.points for e in estimates]).sum(0, dtype=torch.int32)
         invalid = torch.stack([e.invalid for e in estimates]).sum(0, dtype=torch.int32)
-        return Estimate(value, settled(pooled(spread), value, self.per_pixel), points, invalid)
+        variance = settled(pooled(spread), value, self.per_pixel)
+        variance.masked_fill_(torch.stack([e.variance.isinf() for e in estimates]).any(0), torch.inf)
+        heavy = [e.heavy for e in estimates if e.heavy is not None]
+        return Estimate(value, variance, points, invalid, heavy=torch.stack(heavy).any(0) if heavy else None)

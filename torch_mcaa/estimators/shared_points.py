@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled
 from torch_mcaa.estimators.points import evaluate_points
+from torch_mcaa.estimators.poles import Poles
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns import Pattern
 
@@ -32,7 +34,12 @@ class SharedPointsRound(Round):
         rows = torch.arange(cell.row - reach, cell.row + cell.height + reach, device=task.device)
         cols = torch.arange(cell.col - reach, cell.col + cell.width + reach, device=task.device)
         u, v = self.pattern.points(self.count, rows, cols, seed=task.seed, round=self.number, dtype=torch.float64)
-        values, inside, bad = evaluate_points(task, cell, cols + u, rows[:, None] + v)
+        col, row = cols + u, rows[:, None] + v
+        values, inside, bad = evaluate_points(task, cell, col, row)
+        poles = Poles(task, cell, self.count, np.arange(self.count))
+        for channel, value in enumerate(values):
+            poles.add(channel, value.movedim(1, 0))
+        heavy = poles.heavy(lambda i, j, channel: (values[channel, j, i], row[j, i], col[j, i]))
         counted = (inside if task.boundary == "renormalize" else torch.ones_like(inside)).to(task.dtype)
         kept = torch.ones_like(counted) if bad is None else (~bad).to(task.dtype)
         u, v = u.to(task.dtype), v.to(task.dtype)
@@ -74,4 +81,7 @@ class SharedPointsRound(Round):
             if task.integrand.nonfinite == "propagate":
                 value = torch.where(share > 1 - 1e-5, value, torch.nan)
         points = torch.full((cell.height, cell.width), self.count, dtype=torch.int32, device=task.device)
-        return Estimate(value, settled(pooled(variance), value, self.count), points, invalid)
+        variance = settled(pooled(variance), value, self.count)
+        if heavy is not None:
+            variance.masked_fill_(heavy, torch.inf)
+        return Estimate(value, variance, points, invalid, heavy=None if heavy is None else heavy.any(0))

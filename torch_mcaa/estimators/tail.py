@@ -49,6 +49,16 @@ def without_moment(index: Tensor, value: Tensor) -> Tensor:
     return heavy & (torch.nn.functional.max_pool2d(peaks, 5, 1, 2) > 0)
 
 
+def hill(terms: Tensor) -> Tensor:
+    """(P,): the tail index of the larger half of the moduli of terms (n, P), by Hill (1975); NaN where that half is not above 0.
+
+    For terms that follow a power law as far as that, as about a pole.
+    """
+    half = len(terms) // 2
+    ordered = terms.abs().topk(half + 1, 0).values
+    return (ordered[:half] / ordered[half]).clamp_max(torch.finfo(terms.dtype).max).log().mean(0)
+
+
 def _index(terms: Tensor) -> Tensor:
     """(P,) for the moduli of terms (n, P)."""
     count = (terms > 0).sum(0)

@@ -38,7 +38,8 @@ class Sobol(Pattern):
     ) -> tuple[Tensor, Tensor]:
         check_points(self, n, rows, cols, dtype)
         index = torch.arange(n, dtype=torch.int32, device=rows.device)
-        keys = (rng.bits(seed, _STREAM, axis, round, *grid(rows, cols)).to(torch.int32) for axis in (0, 1))
+        pixels = grid(rows, cols)
+        keys = (rng.bits(seed, _STREAM, axis, round, *pixels).to(torch.int32) for axis in (0, 1))
         u, v = (_fraction(_scramble(words, key), dtype) for words, key in zip((index, _second_axis(index)), keys, strict=True))
         return u, v
 
@@ -76,8 +77,8 @@ def net_variance(terms: Tensor, u: Tensor, v: Tensor) -> Tensor:
     for power in range(bits + 1):
         chosen = (wide == power).nonzero().squeeze(1)
         # index_select is five times as fast as a mask
-        cells = _by_cell(*(x.flatten(1).index_select(1, chosen) for x in (terms, u, v)), 1 << power)
-        variance[chosen] = curvature_variance(cells)
+        values, x, y = (each.flatten(1).index_select(1, chosen) for each in (terms, u, v))
+        variance[chosen] = curvature_variance(_by_cell(values, x, y, 1 << power))
     return variance.mul_(choice_factor(len(terms))).view_as(terms[0])
 
 
