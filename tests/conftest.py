@@ -8,9 +8,9 @@ import pytest
 import torch
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", autouse=True)
 def one_thread() -> Iterator[None]:
-    """For files of many small pictures: threads that wait for each other on a busy machine cost three times the work.
+    """Pictures in tests are small: threads that wait for each other on a busy machine cost three times the work.
 
     That the number of threads changes no bit is tested elsewhere.
     """

@@ -15,8 +15,6 @@ from torch_mcaa.allocation import Allocation, EqualVariance, Neyman, Uniform, de
 from torch_mcaa.errors import McaaError
 from torch_mcaa.strata import strata_counts
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 EVERY = pytest.mark.parametrize("allocation", [EqualVariance(), Neyman(), Uniform()], ids=lambda a: type(a).__name__)
 ADAPTIVE = pytest.mark.parametrize("allocation", [EqualVariance(), Neyman()], ids=lambda a: type(a).__name__)
 LEAST = {EqualVariance: max, Neyman: math.fsum}

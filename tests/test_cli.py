@@ -20,8 +20,6 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.image_io import read_image, write_picture
 from torch_mcaa.scenes import gallery
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 Run = Callable[..., tuple[int, str, str]]
 
 SCENE = '''

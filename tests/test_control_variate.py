@@ -15,8 +15,6 @@ from torch_mcaa.filters import Filter
 from torch_mcaa.filters.moments import moment, variance
 from torch_mcaa.scenes import Scene
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 F64 = torch.float64
 WIDE = mcaa.Gaussian(0.5, radius=4.0)
 GRID = mcaa.Tabulated(torch.randn(5, 7, generator=torch.Generator().manual_seed(3)) + 1, 1.5)

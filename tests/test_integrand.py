@@ -15,8 +15,6 @@ import torch_mcaa as mcaa
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import BLOCK, Integrand
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 X = torch.linspace(0, 3, 256)
 Y = X.flip(0) + 10
 SIZE = (12, 14)

@@ -16,8 +16,6 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.pairs import Pairs
 from torch_mcaa.filters import Filter
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 F64 = torch.float64
 WIDE = mcaa.Gaussian(0.5, radius=4.0)
 DISC = scenes.Disc(8.3, 7.7, 4.6)

@@ -19,7 +19,6 @@ import torch
 
 from torch_mcaa.image_io import read_image
 
-pytestmark = pytest.mark.usefixtures("one_thread")
 EXAMPLE = Path(__file__).parents[1] / "examples" / "paper.py"
 
 

@@ -27,8 +27,6 @@ from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell, Screen
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 SIZE = (9, 11)
 FILTERS: list[Filter] = [
     mcaa.Box(),

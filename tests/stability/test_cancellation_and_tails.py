@@ -15,7 +15,6 @@ from torch_mcaa.errors import McaaWarning
 from torch_mcaa.integrand import Function
 from torch_mcaa.moments import Moments
 
-pytestmark = pytest.mark.usefixtures("one_thread")
 STEP = 2.0**-10
 """Of float32 between 8192 and 16384: what 10^4 + STEP k can hold."""
 

@@ -15,8 +15,6 @@ import torch_mcaa as mcaa
 from torch_mcaa.integrand import Function
 from torch_mcaa.patterns.lattice_search import best_generator, reduced_basis
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 def tone(u: float, v: float, phase: float) -> Function:
     return lambda x, y: 0.5 + 0.5 * torch.cos(2 * math.pi * (u * x + v * y) + phase)

@@ -13,8 +13,6 @@ import torch_mcaa as mcaa
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function
 
-pytestmark = pytest.mark.usefixtures("one_thread")
-
 
 def hole(value: float) -> Function:
     """0.7, but for a spot of 0.4 x 0.4 px in pixel (4, 4), where f is not finite."""

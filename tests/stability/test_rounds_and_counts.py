@@ -14,7 +14,6 @@ import torch_mcaa as mcaa
 from torch_mcaa.integrand import Function
 from torch_mcaa.strata import strata_counts
 
-pytestmark = pytest.mark.usefixtures("one_thread")
 INDEPENDENT = mcaa.Independent()
 
 

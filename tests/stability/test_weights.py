@@ -14,7 +14,6 @@ import torch_mcaa as mcaa
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function
 
-pytestmark = pytest.mark.usefixtures("one_thread")
 GAUSSIAN = mcaa.Gaussian(0.5)
 
 

@@ -15,7 +15,7 @@ from torch_mcaa.patterns import Independent
 
 _FIRST = 4
 """One part in so many of the evaluations is the first round."""
-_MOST = 64
+_MOST = 128
 """Rectangles a pixel: more points than twice as many share them."""
 
 
