@@ -11,7 +11,7 @@ import torch
 
 from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError, McaaWarning
-from torch_mcaa.estimators import Auto, Estimator
+from torch_mcaa.estimators import Auto, Estimate, Estimator
 from torch_mcaa.filters import Filter, Gaussian
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function, Nonfinite
@@ -115,12 +115,7 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
         bias.append("samples that were not finite were left out")
     diagnostics = picture.diagnostics
-    without = picture.variance.new_zeros(picture.points.shape, dtype=torch.bool)
-    for cell, there in work.heavy:
-        without[cell.window] |= there
-    if diagnostics is not None:
-        without = ((diagnostics.pareto_k > 0.5) & picture.variance.isinf()).any(0)
-    heavy = int(without.sum())
+    heavy = _without_moment(work, picture)
     if heavy:
         warnings.warn(
             f"in {heavy} pixels the samples look as if f had no second moment: their standard error is +inf; "
@@ -144,3 +139,15 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         pareto_k=None if diagnostics is None else diagnostics.pareto_k,
         predicted_optimum=work.predicted_optimum,
     )
+
+
+def _without_moment(work: Rounds, picture: Estimate) -> int:
+    """How many pixels have no standard error because f was found to have no second moment there."""
+    if picture.diagnostics is not None:
+        return int(((picture.diagnostics.pareto_k > 0.5) & picture.variance.isinf()).any(0).sum())
+    if not work.heavy:
+        return 0
+    lost = torch.zeros_like(picture.points, dtype=torch.bool)
+    for cell, there in work.heavy:
+        lost[cell.window] |= there
+    return int(lost.sum())
