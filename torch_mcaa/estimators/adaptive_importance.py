@@ -13,9 +13,8 @@ from torch_mcaa.densities import Density, Histogram, Mixture, Normal
 from torch_mcaa.densities.histogram import sample_bins
 from torch_mcaa.densities.mixture import choose
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.importance import weighted
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise, check_rounds, combined
+from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Sequential, combined
 from torch_mcaa.filters import Filter
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.patterns import Pattern, Sobol
@@ -29,7 +28,7 @@ _BINS = 8
 
 
 @dataclass(frozen=True, repr=False)
-class AdaptiveImportance(Pixelwise):
+class AdaptiveImportance(Sequential):
     """w'_h modelled on the values of C = f w_h met so far; the next round draws from it.
 
     Unbiased: each round is, whatever the rounds before it were, and "fixed" weighs round k by the root of k, which is within 1/8 of the best
@@ -50,19 +49,10 @@ class AdaptiveImportance(Pixelwise):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_rounds(self.rounds)
         if self.density not in (Histogram, Mixture):
             raise McaaError(
                 f"density must be the class Histogram or Mixture, which each pixel has its own of, got {self.density!r}"
             )
-
-    @property
-    def fewest(self) -> int:
-        return 2 * self.rounds
-
-    def check(self, task: Task) -> None:
-        super().check(task)
-        _ = task.filter.absolute_integral
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         sizes = self._sizes(n)

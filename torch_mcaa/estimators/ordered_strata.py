@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise, check_rounds, combined
+from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Sequential, combined
 from torch_mcaa.estimators.rectangles import cut, even
 from torch_mcaa.estimators.stratified import stratified
 from torch_mcaa.patterns import Independent
@@ -20,7 +19,7 @@ _MOST = 128
 
 
 @dataclass(frozen=True, repr=False)
-class OrderedStrata(Pixelwise):
+class OrderedStrata(Sequential):
     """Sort (C, x, y) in each pixel, find the axis that C is correlated with, split where it jumps, sample, repeat.
 
     The strata are rectangles in the unit square of the filter's inverse cumulative distribution, where every point has a weight of the
@@ -29,27 +28,13 @@ class OrderedStrata(Pixelwise):
     leaves least of that product. Points on a border count on both sides, so what lies between the last of one colour and the first of the
     next becomes a rectangle of its own. Then two fresh points are drawn in each rectangle, one in either half.
 
-    Unbiased, since a round's strata depend on earlier rounds alone; the two points of a stratum give its variance without bias. "fixed" weighs
-    the rounds by their evaluations to the power 3/2, "pooled" by their evaluations, "discard_pilot" keeps the last alone.
+    Unbiased, since a round's strata depend on earlier rounds alone. The two points of a stratum give its variance, too large by what its halves
+    differ. "fixed" weighs the rounds by their evaluations to the power 3/2, "pooled" by their evaluations, "discard_pilot" keeps the last alone.
 
     Attributes:
         rounds: how many, 2 or more. Two measure best at 64 evaluations: on edges a third of the variance of independent importance sampling,
             on axis edges a sixth; three have half of it, and three times as much on hairlines that the first round missed.
     """
-
-    rounds: int = 2
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_rounds(self.rounds)
-
-    @property
-    def fewest(self) -> int:
-        return 2 * self.rounds
-
-    def check(self, task: Task) -> None:
-        super().check(task)
-        _ = task.filter.absolute_integral
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         first, later = max(2, n // _FIRST), self.rounds - 1

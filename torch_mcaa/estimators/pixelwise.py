@@ -94,12 +94,6 @@ def combined(rounds: Sequence[Drawn], weights: Sequence[float]) -> Drawn:
     )
 
 
-def check_rounds(rounds: object) -> None:
-    """Raise McaaError for what is not a number of inner rounds, 2 to `ROUNDS`."""
-    if isinstance(rounds, bool) or not isinstance(rounds, int) or not 2 <= rounds <= ROUNDS:
-        raise McaaError(f"rounds must be an integer from 2 to {ROUNDS}, got {rounds!r}")
-
-
 @dataclass(frozen=True, repr=False)
 class Pixelwise(Estimator):
     """An estimator whose pixels draw their own points, in rounds.
@@ -162,6 +156,30 @@ class Pixelwise(Estimator):
     @abstractmethod
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         """Draw n points, `fewest` or more, in each of the pixels and estimate them."""
+
+
+@dataclass(frozen=True, repr=False)
+class Sequential(Pixelwise):
+    """An estimator of rounds in each pixel, every one of which learns from those before it; for filters whose modulus can be sampled.
+
+    Attributes:
+        rounds: how many, 2 to `ROUNDS`.
+    """
+
+    rounds: int = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.rounds, bool) or not isinstance(self.rounds, int) or not 2 <= self.rounds <= ROUNDS:
+            raise McaaError(f"rounds must be an integer from 2 to {ROUNDS}, got {self.rounds!r}")
+
+    @property
+    def fewest(self) -> int:
+        return 2 * self.rounds
+
+    def check(self, task: Task) -> None:
+        super().check(task)
+        _ = task.filter.absolute_integral
 
 
 class PixelwiseRound(Round):
