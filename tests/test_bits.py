@@ -18,9 +18,9 @@ torch.set_num_threads(int(sys.argv[1]))
 def f(x, y):
     return torch.atan2(y - 150, x - 140), torch.sigmoid(0.1 * (x - y)) ** 1.7, (torch.hypot(x - 150, y - 150) < 99).float()
 digest = hashlib.sha256()
-for estimator in (mcaa.Auto(), mcaa.Shared(replicates=2), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()):
+for estimator in (mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(replicates=2), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()):
     for size in ((301, 287), (33, 70)):
-        if size[0] > 100 and estimator not in (mcaa.Auto(), mcaa.Importance()):
+        if size[0] > 100 and estimator not in (mcaa.Auto(), mcaa.Shared(), mcaa.Importance()):
             continue
         picture = mcaa.render(f, size, estimator=estimator, spp=9)
         for plane in (picture.image, picture.stderr, picture.spp):
@@ -40,7 +40,9 @@ def test_threads_do_not_change_a_bit():
     assert len(digests) == 1
 
 
-@pytest.mark.parametrize("chosen", [mcaa.Auto(), mcaa.Shared(mcaa.Jittered()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize(
+    "chosen", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Jittered()), mcaa.Importance()], ids=repr
+)
 @pytest.mark.parametrize("boundary", ["extend", "zero", "renormalize"])
 def test_order_of_work_does_not_change_a_bit(chosen: mcaa.Auto, boundary: str):
     """Cells backwards, each by a new round, are the picture's cells."""
@@ -48,7 +50,7 @@ def test_order_of_work_does_not_change_a_bit(chosen: mcaa.Auto, boundary: str):
     def f(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         return torch.atan2(y - 100, x - 90)
 
-    size = (300, 270) if isinstance(chosen, mcaa.Auto) else (70, 90)
+    size = (300, 270) if chosen in (mcaa.Auto(), mcaa.Shared()) else (70, 90)
     picture = mcaa.render(f, size, estimator=chosen, boundary=boundary, spp=7, seed=5)  # type: ignore[arg-type]
     task = task_of(f, Screen.of(size), mcaa.Gaussian(0.5), boundary, "raise", 5, torch.float32, None)
     with torch.no_grad():

@@ -253,7 +253,7 @@ def test_demo(folder: Path, run: Run) -> None:
     assert f"{len(names)} pictures in" in out
     for path in (folder / "pictures" / "demo").iterdir():
         image = read_image(path)
-        assert image.shape == (3, 16, 3 * 20 + 16)
+        assert image.shape == (3, 16, 4 * 20 + 24)
     before = files(folder)
     status, _, err = run("demo", "--size", "20x16", "--spp", "4", "-o", "pictures/demo")
     assert status == 2

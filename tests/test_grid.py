@@ -122,9 +122,14 @@ def test_float32_is_taken_only_where_it_is_fine_enough(x0: float, length: float,
         assert step > 2.0**-10 * pixel
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize(
+    "estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr
+)
 def test_a_far_pixel_is_sampled_as_finely_as_the_first(estimator: mcaa.Auto) -> None:
-    """At 10^6 float32 steps by 1/16 px: f would see 16 offsets. What it sees are the near points moved, to float32's rounding near 0."""
+    """At 10^6 float32 steps by 1/16 px: f would see 16 offsets. What it sees are the near points moved, to float32's rounding near 0.
+
+    32 evaluations a pixel: samples on lines 1 px apart have only as many offsets as there are lines, and 16 would tell nothing.
+    """
     seen: list[tuple[Tensor, Tensor]] = []
 
     def f(x: Tensor, y: Tensor) -> Tensor:
@@ -134,7 +139,7 @@ def test_a_far_pixel_is_sampled_as_finely_as_the_first(estimator: mcaa.Auto) -> 
     points = []
     for origin in (0.0, 1e6):
         seen.clear()
-        mcaa.render(f, (64, 64), extent=(origin, origin + 64, origin, origin + 64), estimator=estimator, spp=8)
+        mcaa.render(f, (64, 64), extent=(origin, origin + 64, origin, origin + 64), estimator=estimator, spp=32)
         points.append([torch.cat(axis) - origin for axis in zip(*seen)])
     for near, far in zip(*points):
         assert far.unique().numel() >= near.unique().numel() > 1000

@@ -76,11 +76,13 @@ def test_what_f_is_given() -> None:
         assert x.data_ptr() != y.data_ptr()
         return x
 
-    for estimator in (mcaa.Auto(), mcaa.Shared(mcaa.Jittered()), mcaa.Importance()):
+    for estimator in (mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Jittered()), mcaa.Importance()):
         mcaa.render(f, SIZE, estimator=estimator)
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize(
+    "estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr
+)
 def test_f_may_change_its_arguments(estimator: mcaa.Auto) -> None:
     in_place = mcaa.render(lambda x, y: x.mul_(0.1).add_(y.sin_()), SIZE, estimator=estimator)
     plain = mcaa.render(lambda x, y: x * 0.1 + y.sin(), SIZE, estimator=estimator)
@@ -95,7 +97,14 @@ def test_every_evaluation_is_counted_and_blocks_are_small() -> None:
         seen.append(x.numel())
         return x
 
-    for estimator in (mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance(), mcaa.Shared(replicates=2)):
+    for estimator in (
+        mcaa.Auto(),
+        mcaa.JumpCorrected(),
+        mcaa.Shared(),
+        mcaa.Shared(mcaa.Sobol()),
+        mcaa.Importance(),
+        mcaa.Shared(replicates=2),
+    ):
         seen.clear()
         picture = mcaa.render(f, (60, 60), estimator=estimator, spp=20)
         assert picture.evaluations == sum(seen)
@@ -130,7 +139,7 @@ def test_refused_forms(what: str) -> None:
         mcaa.render(f, SIZE)
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol())], ids=repr)
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Sobol())], ids=repr)
 def test_changing_number_of_channels(estimator: mcaa.Auto) -> None:
     calls: list[int] = []
 
@@ -197,8 +206,11 @@ def test_from_points_refuses(out: Callable[[Tensor], Any], said: str) -> None:
 
 # --- NaN and infinities
 
-ESTIMATORS = [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Shared(replicates=2), mcaa.Importance()]
-SHARED = ESTIMATORS[:3]
+ADAPTIVE = [mcaa.Auto(), mcaa.JumpCorrected()]
+FIXED = [mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Shared(replicates=2)]
+"""Shared points that do not depend on f."""
+SHARED = [*ADAPTIVE, *FIXED]
+ESTIMATORS = [*SHARED, mcaa.Importance()]
 
 
 def waves(x: Tensor, y: Tensor) -> Tensor:
@@ -240,6 +252,13 @@ def count(x: Tensor, y: Tensor) -> Tensor:
     on = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     pixel = y[on].long() * width + x[on].long()
     return torch.bincount(pixel, minlength=height * width).reshape(SIZE).int()
+
+
+def beyond_the_hole(filter: mcaa.Gaussian) -> Tensor:
+    """(H, W) bool: the pixels whose filter does not reach `in_pixels`."""
+    rows, cols = torch.arange(SIZE[0])[:, None] + 0.5, torch.arange(SIZE[1]) + 0.5
+    reach = max(filter.radius)
+    return (rows < 4 - reach) | (rows > 8 + reach) | (cols < 6 - reach) | (cols > 9 + reach)
 
 
 def weights(filter: mcaa.Gaussian, x: Tensor, y: Tensor) -> Tensor:
@@ -296,9 +315,14 @@ def test_invalid_counts_parts_of_pixels(estimator: mcaa.Auto) -> None:
     f = Recorder(with_holes(in_disc, torch.inf))
     picture = mcaa.render(f, SIZE, estimator=estimator, nonfinite="ignore", dtype=torch.float64)
     x, y = f.points
-    assert torch.equal(picture.spp, count(x, y))
     bad = in_disc(x, y)
-    assert torch.equal(picture.invalid, count(x[bad], y[bad]))
+    if estimator in ADAPTIVE:
+        # 64 places of a cell are asked twice, to see whether f is random
+        for told, seen in ((picture.spp, count(x, y)), (picture.invalid, count(x[bad], y[bad]))):
+            assert bool((told >= seen).all()) and int((told - seen).sum()) <= 64
+    else:
+        assert torch.equal(picture.spp, count(x, y))
+        assert torch.equal(picture.invalid, count(x[bad], y[bad]))
 
 
 def test_invalid_of_importance_counts_its_own_points() -> None:
@@ -316,14 +340,14 @@ def test_invalid_of_importance_counts_its_own_points() -> None:
 
 
 @pytest.mark.parametrize("filter", [mcaa.Gaussian(0.5), mcaa.Tent()], ids=repr)
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol())], ids=repr)
-def test_ignored_samples_leave_the_weighted_mean_of_the_rest(filter: mcaa.Gaussian, estimator: mcaa.Auto) -> None:
+@pytest.mark.parametrize("estimator", [mcaa.Shared(), mcaa.Shared(mcaa.Sobol())], ids=repr)
+def test_ignored_samples_leave_the_weighted_mean_of_the_rest(filter: mcaa.Gaussian, estimator: mcaa.Shared) -> None:
     f = Recorder(with_holes(in_disc))
     picture = mcaa.render(f, SIZE, filter=filter, estimator=estimator, nonfinite="ignore", dtype=torch.float64)
     x, y = f.points
     # points off the lattice serve the standard error only: theirs are the offsets that no other column repeats
     _, place, times = (torch.frac(x + 8) * 2**30).round().unique(return_inverse=True, return_counts=True)
-    kept = ~in_disc(x, y) & (times[place] > 3 if estimator == mcaa.Auto() else True)
+    kept = ~in_disc(x, y) & (times[place] > 3 if estimator == mcaa.Shared() else True)
     x, y = x[kept], y[kept]
     w = weights(filter, x, y)
     near = w.sum(-1) > 1e-2 * weights(filter, *f.points).sum(-1)
@@ -334,15 +358,32 @@ def test_ignored_samples_leave_the_weighted_mean_of_the_rest(filter: mcaa.Gaussi
 
 
 @pytest.mark.parametrize("filter", [mcaa.Gaussian(0.5), mcaa.Box(), mcaa.Lanczos(3)], ids=repr)
-@pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
-def test_ignore_changes_only_what_the_hole_reaches(filter: mcaa.Gaussian, estimator: mcaa.Auto) -> None:
+@pytest.mark.parametrize("estimator", [*FIXED, mcaa.Importance()], ids=repr)
+def test_ignore_changes_only_what_the_hole_reaches(filter: mcaa.Gaussian, estimator: mcaa.Shared) -> None:
     clean = mcaa.render(waves, SIZE, filter=filter, estimator=estimator)
     picture = mcaa.render(with_holes(in_pixels), SIZE, filter=filter, estimator=estimator, nonfinite="ignore")
-    rows, cols = torch.arange(SIZE[0])[:, None] + 0.5, torch.arange(SIZE[1]) + 0.5
-    reach = max(filter.radius)
-    apart = (rows < 4 - reach) | (rows > 8 + reach) | (cols < 6 - reach) | (cols > 9 + reach)
     # |f| <= 1: rounding of a few dozen terms
-    assert float((picture.image - clean.image)[0][apart].abs().max()) < 2e-6
+    assert float((picture.image - clean.image)[0][beyond_the_hole(filter)].abs().max()) < 2e-6
+
+
+@pytest.mark.parametrize("filter", [mcaa.Gaussian(0.5), mcaa.Box(), mcaa.Lanczos(3)], ids=repr)
+@pytest.mark.parametrize("estimator", ADAPTIVE, ids=repr)
+@pytest.mark.parametrize("nonfinite", ["ignore", "propagate"])
+def test_a_hole_may_move_points_elsewhere_but_not_beyond_the_standard_errors(
+    filter: mcaa.Gaussian, estimator: mcaa.Auto, nonfinite: str
+) -> None:
+    """Where values choose the points a hole changes them in the whole cell: pictures with and without agree as their errors say.
+
+    Over 16 seeds, for which a root mean square of some ten independent pixels each is known to 10 %: 1.3 is three of that.
+    """
+    apart = beyond_the_hole(filter)
+    differences, allowed = [], []
+    for seed in range(16):
+        clean = mcaa.render(waves, SIZE, filter=filter, estimator=estimator, seed=seed)
+        picture = mcaa.render(with_holes(in_pixels), SIZE, filter=filter, estimator=estimator, nonfinite=nonfinite, seed=seed)  # type: ignore[arg-type]
+        differences.append((picture.image - clean.image)[0][apart])
+        allowed.append(torch.hypot(picture.stderr, clean.stderr)[0][apart])
+    assert float(torch.stack(differences).square().mean().sqrt()) < 1.3 * float(torch.stack(allowed).square().mean().sqrt())
 
 
 # weights of both signs are not normalised in importance sampling
@@ -364,17 +405,22 @@ def test_ignore_keeps_constants(filter: mcaa.Gaussian, estimator: mcaa.Auto) -> 
 
 @pytest.mark.parametrize("filter", [mcaa.Gaussian(0.5), mcaa.Box(), mcaa.Lanczos(3)], ids=repr)
 @pytest.mark.parametrize("estimator", SHARED, ids=repr)
-def test_propagate_marks_what_the_hole_reaches_and_changes_nothing_else(filter: mcaa.Gaussian, estimator: mcaa.Auto) -> None:
+def test_propagate_marks_what_the_hole_reaches_and_nothing_else(filter: mcaa.Gaussian, estimator: mcaa.Auto) -> None:
+    """And, but for points that f chooses, changes nothing else."""
     clean = mcaa.render(waves, SIZE, filter=filter, estimator=estimator)
     f = Recorder(with_holes(in_pixels))
     picture = mcaa.render(f, SIZE, filter=filter, estimator=estimator, nonfinite="propagate")
-    x, y = f.points
+    x, y, much = *f.points, 1e-4
+    if estimator in ADAPTIVE:
+        # bisection crowds where |w| may be anything, so what the hole has of |w| itself: that of the samples differs by half, at most
+        at, much = (torch.arange(8 * 24, dtype=torch.float64) + 0.5) / 8 - 5, 2e-4
+        x, y = (axis.flatten() for axis in torch.meshgrid(at, at, indexing="xy"))
     w = weights(filter, x, y).abs()
     share = (w * in_pixels(x, y)).sum(-1) / w.sum(-1)
     lost = picture.image[0].isnan()
-    assert bool(lost[share > 1e-4].all())
+    assert bool(lost[share > much].all())
     # |f| <= 1: a share below 1e-5 may pass for rounding
-    assert float((picture.image - clean.image)[0][~lost].abs().max()) < 2e-5
+    assert estimator in ADAPTIVE or float((picture.image - clean.image)[0][~lost].abs().max()) < 2e-5
     assert not bool(lost[share == 0].any())
 
 
@@ -401,7 +447,11 @@ def test_standard_error_is_infinite_where_there_is_no_value(filter: mcaa.Gaussia
 @pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
 @pytest.mark.parametrize("nonfinite", ["ignore", "propagate"])
 def test_a_hole_does_not_shrink_the_standard_error_far_away(estimator: mcaa.Auto, nonfinite: str) -> None:
-    """f from 0 to 100: a pixel at the far corner knows as much as it did without the hole, to the share that the hole has in the range."""
+    """f from 0 to 100: a pixel at the far corner knows as much as it did without the hole, to the share that the hole has in the range.
+
+    Where f chooses the points it may know less, as the evaluations go to the hole's edge: what no sample met is a hundredth of the range
+    over the lines a pixel, and these are 15, or with jumps to be located no fewer than 3.
+    """
 
     def ramp(x: Tensor, y: Tensor) -> Tensor:
         return 100 * (x + y) / 26
@@ -411,7 +461,8 @@ def test_a_hole_does_not_shrink_the_standard_error_far_away(estimator: mcaa.Auto
 
     clean = mcaa.render(ramp, SIZE, estimator=estimator)
     picture = mcaa.render(f, SIZE, estimator=estimator, nonfinite=nonfinite)  # type: ignore[arg-type]
-    assert float(picture.stderr[0, -1, -1]) == pytest.approx(float(clean.stderr[0, -1, -1]), rel=0.1)
+    ratio = float(picture.stderr[0, -1, -1]) / float(clean.stderr[0, -1, -1])
+    assert 0.9 < ratio < (1.1 * 15 / 3 if estimator in ADAPTIVE else 1.1)
 
 
 @pytest.mark.parametrize("nonfinite", ["ignore", "propagate"])

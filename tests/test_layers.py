@@ -22,7 +22,7 @@ FLOORS = (
     {"errors"},
     {"rng", "moments", "allocation"},
     {"grid", "filters", "patterns", "strata"},
-    {"densities", "integrand", "texture", "scenes"},
+    {"densities", "integrand", "texture", "scenes", "edges"},
     {"estimators"},
     {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out"},
     {"rounds"},

@@ -30,7 +30,11 @@ def without(f: Function, size: int, seed: int, estimator: object, spp: int) -> t
 
 
 @pytest.mark.parametrize("spp", [16, 64])
-@pytest.mark.parametrize("estimator", [mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Shared(replicates=2)], ids=repr)
+@pytest.mark.parametrize(
+    "estimator",
+    [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Shared(replicates=2)],
+    ids=repr,
+)
 def test_no_second_moment(estimator: mcaa.Shared, spp: int) -> None:
     """r^-1.5 has k = 3/4: found in every one of 6 seeds, in all pixels whose filter reaches it and in none four pixels off."""
     for seed in range(6):
@@ -68,23 +72,26 @@ BOUNDED: dict[str, Function] = {
 
 @pytest.mark.parametrize("name", list(BOUNDED))
 @pytest.mark.parametrize("spp", [16, 64])
-def test_no_false_alarms(name: str, spp: int) -> None:
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared()], ids=repr)
+def test_no_false_alarms(estimator: mcaa.Shared, name: str, spp: int) -> None:
     for seed in range(4):
-        assert without(BOUNDED[name], 17, seed, mcaa.Shared(), spp)[0] == 0
+        assert without(BOUNDED[name], 17, seed, estimator, spp)[0] == 0
 
 
-def test_no_false_alarms_on_the_gallery() -> None:
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared()], ids=repr)
+def test_no_false_alarms_on_the_gallery(estimator: mcaa.Shared) -> None:
     for size in (16, 70):
         for scene in scenes.gallery((size, size)).values():
-            assert without(scene, size, 3, mcaa.Shared(), 16)[0] == 0, scene  # type: ignore[arg-type]
+            assert without(scene, size, 3, estimator, 16)[0] == 0, scene  # type: ignore[arg-type]
 
 
-def test_equal_bits_with_a_pole() -> None:
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared()], ids=repr)
+def test_equal_bits_with_a_pole(estimator: mcaa.Shared) -> None:
     threads, pictures = torch.get_num_threads(), []
     try:
         for count in (1, 3):
             torch.set_num_threads(count)
-            pictures.append(without(pole(1.5, 90.2, 61.3), 130, 1, mcaa.Shared(), 16)[1])
+            pictures.append(without(pole(1.5, 90.2, 61.3), 130, 1, estimator, 16)[1])
     finally:
         torch.set_num_threads(threads)
     assert torch.equal(pictures[0].stderr, pictures[1].stderr) and pictures[0].evaluations == pictures[1].evaluations

@@ -24,6 +24,7 @@ import torch_mcaa as mcaa
 from torch_mcaa import progress as progress_module
 from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.estimators.parts import MODELS
 from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell, Screen
 
@@ -42,7 +43,9 @@ FILTERS: list[Filter] = [
     mcaa.Tabulated([[0.0, 1.0, 0.0], [1.0, 4.0, 2.0], [0.0, 1.0, 0.0]], radius=1.5),
 ]
 SIGNED = (mcaa.Mitchell, mcaa.Lanczos)
-SHARED = [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Shared(replicates=2)]
+ADAPTIVE = [mcaa.Auto(), mcaa.JumpCorrected()]
+"""Those whose values decide where others are asked for, in all channels at once."""
+SHARED = [*ADAPTIVE, mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Shared(replicates=2)]
 ESTIMATORS = [*SHARED, mcaa.Shared(mcaa.Jittered()), mcaa.Importance(), mcaa.Importance(mcaa.MultiJittered())]
 
 
@@ -71,7 +74,7 @@ def test_shapes_and_dtypes(estimator: mcaa.Auto, dtype: torch.dtype) -> None:
     assert picture.spp.dtype == picture.invalid.dtype == torch.int32
     assert picture.model.dtype == torch.uint8
     assert int(picture.model.max()) < len(picture.models)
-    assert picture.models == (repr(estimator),)
+    assert picture.models == (MODELS if estimator in ADAPTIVE else (repr(estimator),))
     assert picture.stopped == "spp"
     assert 0 < picture.seconds < 60
     assert picture.evaluations >= int(picture.spp.sum())
@@ -103,18 +106,20 @@ def test_defaults_are_those_documented() -> None:
     assert torch.equal(plain.stderr, spelled.stderr)
 
 
-# importance sampling has it where all its weights are 1: for w >= 0, and without a border to divide by
+# importance sampling has it where all its weights are 1: for w >= 0, and without a border to divide by; lines need a product of profiles
 KEEPING_CONSTANTS = [
     (filter, estimator, boundary)
     for filter, estimator, boundary in itertools.product(FILTERS, ESTIMATORS, ("extend", "renormalize"))
-    if not isinstance(estimator, mcaa.Importance) or (boundary == "extend" and not isinstance(filter, SIGNED))
+    if (not isinstance(estimator, mcaa.Importance) or (boundary == "extend" and not isinstance(filter, SIGNED)))
+    and (not isinstance(estimator, mcaa.JumpCorrected) or isinstance(filter, SeparableFilter))
 ]
 
 
 @pytest.mark.parametrize(("filter", "estimator", "boundary"), KEEPING_CONSTANTS, ids=repr)
 def test_constants_are_exact(filter: Filter, estimator: mcaa.Auto, boundary: str) -> None:
     """To 24 eps, the rounding of a few hundred terms."""
-    for spp in (4, 16):
+    few = max(4, estimator.fewest)
+    for spp in (few, 16):
         picture = mcaa.render(constant, SIZE, filter=filter, estimator=estimator, boundary=boundary, spp=spp)  # type: ignore[arg-type]
         assert float((picture.image - 0.7).abs().max()) <= 24 * torch.finfo(torch.float32).eps
         assert bool((picture.stderr > 0).all())
@@ -124,7 +129,7 @@ def test_constants_are_exact(filter: Filter, estimator: mcaa.Auto, boundary: str
         filter=filter,
         estimator=estimator,
         boundary=boundary,  # type: ignore[arg-type]
-        spp=4,
+        spp=few,
         dtype=torch.float64,
     )
     assert float((double.image - 0.7).abs().max()) <= 24 * torch.finfo(torch.float64).eps
@@ -176,14 +181,20 @@ def test_f_is_not_asked_beyond_a_closed_boundary(
     mcaa.render(f, SIZE, filter=mcaa.Gaussian(1.1), estimator=estimator, boundary=boundary, extent=extent)  # type: ignore[arg-type]
 
 
-def test_boundaries_agree_inside() -> None:
-    """Pixels whose filter does not reach the border do not know of it."""
+@pytest.mark.parametrize("estimator", [*ADAPTIVE, mcaa.Shared()], ids=repr)
+def test_boundaries_agree_inside(estimator: mcaa.Auto) -> None:
+    """Pixels whose filter does not reach the border do not know of it.
+
+    But for how many evaluations were left for them: then they agree to half the standard error, which is mostly for what no sample met.
+    """
+    inside = (0, slice(3, -3), slice(3, -3))
     pictures = [
-        mcaa.render(disc, (13, 15), filter=mcaa.Tent(2.0), boundary=b).image[0, 3:-3, 3:-3]
+        mcaa.render(disc, (13, 15), filter=mcaa.Tent(2.0), estimator=estimator, boundary=b)  # type: ignore[arg-type]
         for b in ("extend", "zero", "renormalize")
-    ]  # type: ignore[arg-type]
+    ]
     for other in pictures[1:]:
-        assert float((pictures[0] - other).abs().max()) < 1e-6
+        allowed = pictures[0].stderr[inside] / 2 if estimator in ADAPTIVE else 1e-6
+        assert bool(((pictures[0].image - other.image)[inside].abs() <= allowed).all())
 
 
 def test_sinc_needs_a_closed_screen() -> None:
@@ -215,7 +226,7 @@ def test_sinc_over_the_screen_against_the_sine_integral() -> None:
 # --- coordinates
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize("estimator", [*ADAPTIVE, mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
 @pytest.mark.parametrize("scale", [0.25, -2.0])
 def test_extent_is_a_change_of_coordinates(estimator: mcaa.Auto, scale: float) -> None:
     """Powers of two change no bit."""
@@ -234,7 +245,7 @@ def test_extent_places_f() -> None:
     assert float((picture.image[1] - cy[:, None]).abs().max()) < 2e-2 * 2 / 9
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize("estimator", [*ADAPTIVE, mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
 def test_a_texture_covers_the_screen_once(estimator: mcaa.Auto) -> None:
     """Four by four pixels to a texel, and a filter of a pixel: every pixel is its texel."""
     image = torch.rand(3, 3, 2, generator=torch.Generator().manual_seed(1))
@@ -250,12 +261,20 @@ def test_a_texture_covers_the_screen_once(estimator: mcaa.Auto) -> None:
 
 @pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
 def test_channels_are_independent_of_each_other(estimator: mcaa.Auto) -> None:
+    """Bit for bit, but where values choose the points: there a channel alone is another picture of the same truth.
+
+    6.1 is the quantile of 1e-5 for the 3960 values.
+    """
     functions = [wild, disc, lambda x, y: x * y]
     together = mcaa.render(lambda x, y: tuple(f(x, y) for f in functions), (40, 33), estimator=estimator)
     for channel, f in enumerate(functions):
         alone = mcaa.render(f, (40, 33), estimator=estimator)
-        assert torch.equal(together.image[channel], alone.image[0])
-        assert torch.equal(together.stderr[channel], alone.stderr[0])
+        if estimator in ADAPTIVE:
+            apart = (together.image[channel] - alone.image[0]).abs()
+            assert bool((apart < 6.1 * torch.hypot(together.stderr[channel], alone.stderr[0])).all())
+        else:
+            assert torch.equal(together.image[channel], alone.image[0])
+            assert torch.equal(together.stderr[channel], alone.stderr[0])
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
@@ -273,7 +292,7 @@ def test_seeds(estimator: mcaa.Auto) -> None:
 @pytest.mark.parametrize("tolerance", [None, 1e-9])
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1), (5, 3)])
 def test_spp_is_a_hard_cap(estimator: mcaa.Auto, tolerance: float | None, size: tuple[int, int]) -> None:
-    least = getattr(estimator, "replicates", 1)
+    least = estimator.fewest
     for spp in [n for n in (*range(1, 18), 64) if n >= least]:
         picture = mcaa.render(wild, size, estimator=estimator, spp=spp, tolerance=tolerance)
         mean = float(picture.spp.double().mean())
@@ -286,16 +305,17 @@ def test_spp_is_a_hard_cap(estimator: mcaa.Auto, tolerance: float | None, size: 
 
 
 @pytest.mark.parametrize("height", range(1, 10))
-def test_spp_is_a_hard_cap_however_the_strips_fall(height: int) -> None:
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared()], ids=repr)
+def test_spp_is_a_hard_cap_however_the_strips_fall(estimator: mcaa.Auto, height: int) -> None:
     """A lattice's points are not spread evenly over the rows of its strip: a picture of few rows can catch more than its share."""
     for seed, (spp, tolerance) in itertools.product(range(6), ((1, None), (2, None), (1, 1e-9), (5, 1e-9))):
-        picture = mcaa.render(wild, (height, 2), spp=spp, tolerance=tolerance, seed=seed)
+        picture = mcaa.render(wild, (height, 2), estimator=estimator, spp=spp, tolerance=tolerance, seed=seed)
         assert float(picture.spp.double().mean()) <= spp
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize("estimator", [*ADAPTIVE, mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
 def test_spp_is_a_hard_cap_over_many_cells(estimator: mcaa.Auto) -> None:
-    for spp, tolerance in itertools.product((1, 5, 9), (None, 1e-9)):
+    for spp, tolerance in itertools.product((estimator.fewest, max(5, estimator.fewest), 9), (None, 1e-9)):
         picture = mcaa.render(wild, (33, 97), estimator=estimator, spp=spp, tolerance=tolerance)
         assert 0.6 * spp - 1 <= float(picture.spp.double().mean()) <= spp
 
@@ -317,13 +337,18 @@ def test_spp_counts_the_points_in_each_pixel(estimator: mcaa.Auto, boundary: str
         # what lies beyond the screen is asked at its first and last places, and counts for nothing
         on &= (x > 0) & (y > 0) & (x < width * (1 - 2.0**-49)) & (y < height * (1 - 2.0**-49))
     pixel = y[on].long() * width + x[on].long()
-    assert torch.equal(picture.spp, torch.bincount(pixel, minlength=height * width).reshape(height, width).int())
+    counted = torch.bincount(pixel, minlength=height * width).reshape(height, width).int()
+    if estimator in ADAPTIVE:
+        # 64 places are asked twice, to see whether f is random
+        assert bool((picture.spp >= counted).all()) and int((picture.spp - counted).sum()) <= 64
+    else:
+        assert torch.equal(picture.spp, counted)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.7, -3e4])
 @pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
 def test_standard_error_is_never_zero_by_ignorance(estimator: mcaa.Auto, value: float) -> None:
-    least = getattr(estimator, "replicates", 1)
+    least = estimator.fewest
     for spp, boundary in itertools.product((1, 2, 4, 16, 64), ("extend", "zero", "renormalize")):
         if spp < least:
             continue
@@ -339,7 +364,7 @@ NARROW = [mcaa.Box(), mcaa.Box(0.6), mcaa.Box(0.1), mcaa.Gaussian(0.1), mcaa.Gau
 @pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
 def test_a_filter_that_few_points_meet(filter: Filter, estimator: mcaa.Auto) -> None:
     """A pixel whose filter met no point has no value, which must not pass for one: NaN comes with +inf, or not at all."""
-    least = getattr(estimator, "replicates", 1)
+    least = estimator.fewest
     for spp in [n for n in (1, 2, 3, 4, 8, 33) if n >= least]:
         try:
             picture = mcaa.render(constant, SIZE, filter=filter, estimator=estimator, spp=spp)
@@ -354,7 +379,7 @@ def test_a_filter_that_few_points_meet(filter: Filter, estimator: mcaa.Auto) -> 
 
 def test_the_default_leaves_no_pixel_empty() -> None:
     """A box of a pixel holds a point of every pattern that has one in each pixel; so must the default at one evaluation."""
-    for spp, estimator in itertools.product((1, 2, 3), (mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance())):
+    for spp, estimator in itertools.product((1, 2, 3), (mcaa.Auto(), mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance())):
         for filter in (mcaa.Box(), mcaa.Tent(), mcaa.Gaussian(0.35)):
             picture = mcaa.render(constant, SIZE, filter=filter, estimator=estimator, spp=spp)
             assert bool(picture.image.isfinite().all())
@@ -363,7 +388,7 @@ def test_the_default_leaves_no_pixel_empty() -> None:
 # --- what ends the work
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize("estimator", [*ADAPTIVE, mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
 def test_tolerance_ends_easy_scenes_early(estimator: mcaa.Auto) -> None:
     def ramp(x: Tensor, y: Tensor) -> Tensor:
         return 0.01 * x + 0.02 * y
@@ -374,7 +399,7 @@ def test_tolerance_ends_easy_scenes_early(estimator: mcaa.Auto) -> None:
     assert float(picture.spp.double().mean()) < 256
 
 
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize("estimator", [*ADAPTIVE, mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr)
 def test_a_tolerance_out_of_reach_ends_at_the_cap(estimator: mcaa.Auto) -> None:
     picture = mcaa.render(wild, (20, 20), estimator=estimator, tolerance=1e-7, spp=24)
     assert picture.stopped == "spp"
@@ -382,29 +407,34 @@ def test_a_tolerance_out_of_reach_ends_at_the_cap(estimator: mcaa.Auto) -> None:
     assert 18 <= float(picture.spp.double().mean()) <= 24
 
 
-def test_tolerance_spends_where_it_is_needed() -> None:
-    """An edge in the left half: its cells get more evaluations than those of the flat half, and meet the tolerance."""
+@pytest.mark.parametrize(("estimator", "times"), [(mcaa.Auto(), 1.2), (mcaa.Shared(), 2.0)], ids=repr)
+def test_tolerance_spends_where_it_is_needed(estimator: mcaa.Auto, times: float) -> None:
+    """An edge in the left half: its cells get more evaluations than those of the flat half, and meet the tolerance.
+
+    A straight edge that is located needs few more.
+    """
 
     def f(x: Tensor, y: Tensor) -> Tensor:
         return (x + 0.31 * y < 40).float()
 
-    picture = mcaa.render(f, (64, 192), tolerance=2e-2, spp=64)
+    picture = mcaa.render(f, (64, 192), estimator=estimator, tolerance=2e-2, spp=64)
     assert picture.stopped == "tolerance"
     assert float(picture.stderr.max()) <= 2e-2
-    assert float(picture.spp[:, :64].double().mean()) > 2 * float(picture.spp[:, 128:].double().mean())
+    assert float(picture.spp[:, :64].double().mean()) > times * float(picture.spp[:, 128:].double().mean())
 
 
 def test_rounds_are_merged_by_their_numbers_of_evaluations() -> None:
-    """Rounds of 4, 8 and 16: weights n^1.5, whatever the values."""
-    picture = mcaa.render(wild, SIZE, estimator=mcaa.Importance(), tolerance=1e-9, spp=28, seed=3, dtype=torch.float64)
+    """Rounds of 4 and then of half as much again as there was, until the cap: weights n^1.5, whatever the values."""
+    picture = mcaa.render(wild, SIZE, estimator=mcaa.Importance(), tolerance=1e-9, spp=64, seed=3, dtype=torch.float64)
     task = task_of(wild, Screen.of(SIZE), mcaa.Gaussian(0.5), "extend", "raise", 3, torch.float64, None)
-    rounds = [mcaa.Importance().round(task, n, k).estimate(Cell(0, 0, *SIZE)) for k, n in enumerate((4, 8, 16))]
-    weights = [n**1.5 / sum(m**1.5 for m in (4, 8, 16)) for n in (4, 8, 16)]
+    sizes = (4, 6, 15, 38, 1)
+    rounds = [mcaa.Importance().round(task, n, k).estimate(Cell(0, 0, *SIZE)) for k, n in enumerate(sizes)]
+    weights = [n**1.5 / sum(m**1.5 for m in sizes) for n in sizes]
     value = torch.stack([w * r.value for w, r in zip(weights, rounds)]).sum(0)
     variance = torch.stack([w**2 * r.variance for w, r in zip(weights, rounds)]).sum(0)
     torch.testing.assert_close(picture.image, value, rtol=1e-13, atol=1e-13)
     torch.testing.assert_close(picture.stderr**2, variance, rtol=1e-13, atol=0)
-    assert bool((picture.spp == 28).all())
+    assert bool((picture.spp == 64).all())
 
 
 def test_relative_tolerance() -> None:
@@ -486,7 +516,7 @@ def test_ctrl_c_in_a_later_round_keeps_the_rounds_before() -> None:
 
     def f(x: Tensor, y: Tensor) -> Tensor:
         calls.append(1)
-        if len(calls) > 3:
+        if len(calls) > 2:
             raise KeyboardInterrupt
         return wild(x, y)
 
@@ -505,7 +535,7 @@ def test_ctrl_c_in_a_later_round_keeps_the_rounds_before() -> None:
     [{}, {"tolerance": 1e-7, "spp": 40}, {"tolerance": 0.2}, {"seconds": 1e4, "spp": 20}],
     ids=["one round", "to the cap", "to the tolerance", "in time"],
 )
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Importance()], ids=repr)
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Importance()], ids=repr)
 def test_progress_rises_to_one(options: dict[str, Any], estimator: mcaa.Auto) -> None:
     told: list[float] = []
     mcaa.render(wild, (100, 80), estimator=estimator, progress=told.append, **options)

@@ -1,4 +1,4 @@
-"""`mcaa demo`: the built-in scenes as pictures, beside their standard error and the evaluations they took."""
+"""`mcaa demo`: the built-in scenes as pictures, beside their standard error, the evaluations they took and what was used."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from torch_mcaa.render import render
 from torch_mcaa.rendering import Rendering
 
 _GAP = 8
+_COLORS = ((0.0, 0.0, 0.0), (0.2, 0.45, 1.0), (0.2, 1.0, 0.9), (0.9, 0.25, 0.2))
+"""Of the models of `Auto`, in their order."""
 
 
 def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None:
@@ -48,12 +50,13 @@ def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None
     Console().print(table)
     print(
         f"{len(scenes)} pictures in {folder.resolve()}: picture, standard error (white = the largest), "
-        "evaluations a pixel (white = the most)"
+        "evaluations a pixel (white = the most), and what was used: black a lattice, blue jumps located, cyan on a finer lattice, "
+        "red more samples where there are no jumps to locate"
     )
 
 
 def side_by_side(picture: Rendering) -> Tensor:
-    """(3, H, 3 W + gaps): the picture, its standard error and its evaluations, each map scaled to its largest value."""
+    """(3, H, 4 W + gaps): the picture, its standard error and its evaluations, each scaled to its largest value, and `Rendering.model`."""
     image = torch.nan_to_num(picture.image)
     image = image / image.abs().max().clamp_min(1.0) if float(image.max()) > 4 else image
     stderr = picture.stderr.amax(0, keepdim=True).nan_to_num(posinf=0.0)
@@ -61,8 +64,10 @@ def side_by_side(picture: Rendering) -> Tensor:
     panels = [(image if len(image) == 3 else image[:1]).expand(3, -1, -1)]
     # the maps are shown as drawn, so they are taken through the curve that saving applies
     panels += [srgb_decode(_map(plane)).expand(3, -1, -1) for plane in (stderr, spp)]
+    colors = torch.tensor(_COLORS, dtype=image.dtype)
+    panels.append(srgb_decode(colors[picture.model.long().cpu() % len(colors)].movedim(-1, 0)))
     gap = torch.ones(3, image.shape[1], _GAP, dtype=image.dtype)
-    return torch.cat([panels[0], gap, panels[1], gap, panels[2]], 2)
+    return torch.cat([part for panel in panels for part in (gap, panel)][1:], 2)
 
 
 def _map(plane: Tensor) -> Tensor:

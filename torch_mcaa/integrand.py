@@ -33,6 +33,7 @@ class Integrand:
         dtype: the picture's dtype.
         nonfinite: what to do about NaN and infinities; anything but "raise" leaves them to the caller, who calls `invalid`.
         evaluations: the points f was called on so far.
+        random: whether f was found to return something else for the same point.
     """
 
     function: Function
@@ -40,6 +41,7 @@ class Integrand:
     nonfinite: Nonfinite = "raise"
     evaluations: int = field(default=0, init=False)
     channels: int = field(default=0, init=False)
+    random: bool = field(default=False, init=False)
 
     def __call__(self, x: Tensor, y: Tensor) -> list[Tensor]:
         """Evaluate f at the points x, and y of a shape that expands to x's; f gets them in one row.

@@ -114,6 +114,12 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         bias.append("rounds ended where the samples themselves said so")
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
         bias.append("samples that were not finite were left out")
+    if task.integrand.random:
+        warnings.warn(
+            "f is random: it returned two values for one point; its jumps were not looked for, and its noise is part of the standard error",
+            McaaWarning,
+            stacklevel=3,
+        )
     diagnostics = picture.diagnostics
     heavy = _without_moment(work, picture)
     if heavy:
@@ -128,8 +134,8 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         stderr=picture.variance.sqrt_(),
         spp=picture.points,
         invalid=picture.invalid,
-        model=torch.zeros(task.screen.height, task.screen.width, dtype=torch.uint8, device=task.device),
-        models=(repr(work.estimator),),
+        model=torch.zeros_like(picture.points, dtype=torch.uint8) if work.model is None else work.model,
+        models=work.estimator.models,
         evaluations=task.integrand.evaluations,
         seconds=seconds,
         stopped=stopped,
@@ -138,6 +144,7 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         ess=None if diagnostics is None else diagnostics.ess,
         pareto_k=None if diagnostics is None else diagnostics.pareto_k,
         predicted_optimum=work.predicted_optimum,
+        floors=tuple((work.cells[index], floor.sqrt()) for index, floor in work.unseen.items()),
     )
 
 

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError
+from torch_mcaa.grid import Cell
 
 Stopped = Literal["spp", "tolerance", "seconds", "interrupted"]
 
@@ -38,6 +39,7 @@ class Rendering:
             moment, and `stderr` is +inf about the peaks of such pixels. None for shared points.
         predicted_optimum: what an `allocation` promised for its last round: (15), (20) the variance common to all pixels under
             `EqualVariance`, the sum of the variances under `Neyman`; None without.
+        floors: the cells of the screen with what `unseen` has in them, (C, 1, 1) or (C, h, w); empty where it is not told apart.
     """
 
     image: Tensor
@@ -54,6 +56,18 @@ class Rendering:
     ess: Tensor | None = None
     pareto_k: Tensor | None = None
     predicted_optimum: float | None = None
+    floors: tuple[tuple[Cell, Tensor], ...] = ()
+
+    @property
+    def unseen(self) -> Tensor:
+        """(C, H, W) the part of `stderr`, in quadrature, that stands for features which no sample met; 0 where it is not told apart.
+
+        A hundredth of the range of values over the samples a pixel, cell by cell. A tolerance does not count it.
+        """
+        plane = torch.zeros_like(self.stderr)
+        for cell, floor in self.floors:
+            plane[:, cell.row : cell.row + cell.height, cell.col : cell.col + cell.width] = floor
+        return plane
 
     def interval(self, level: float = 0.95) -> tuple[Tensor, Tensor]:
         """The (C, H, W) ends of the confidence interval of each pixel: image -+ z stderr, with z the normal quantile of `level`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from torch import Tensor
 from torch_mcaa.allocation import Uniform
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators import Estimate, Estimator, Pixelwise, PixelwiseRound, Round, Task
+from torch_mcaa.estimators.base import MANY
 from torch_mcaa.grid import Cell
 from torch_mcaa.picture import add, blank
 from torch_mcaa.progress import Progress
@@ -20,6 +22,8 @@ from torch_mcaa.sharing_out import shared_out
 from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 4
+_GROWTH, _SURE = 1.5, 1.1
+"""A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
 _PILOT_SHARE = 4
 """One part in so many of the evaluations is the pilot that an allocation is made from."""
 
@@ -36,22 +40,25 @@ class Rounds:
     bar: Progress
     cells: Sequence[Cell] = field(init=False)
     weights: list[float] = field(init=False)
+    sizes: list[float] = field(init=False)
     number: int = field(default=0, init=False)
     predicted_optimum: float | None = field(default=None, init=False)
     heavy: list[tuple[Cell, Tensor]] = field(default_factory=list, init=False)
+    unseen: dict[int, Tensor] = field(default_factory=dict, init=False)
+    model: Tensor | None = field(default=None, init=False)
     _picture: Estimate | None = field(default=None, init=False)
     _spent: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
         self.cells = list(self.task.screen.cells(*self.estimator.cell(self.task, adaptive)))
-        self.weights = [0.0] * len(self.cells)
+        self.weights, self.sizes = [0.0] * len(self.cells), [0.0] * len(self.cells)
         chosen = self.estimator
         self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
         self.single = not adaptive and (not self.allocated or self._known is not None)
         self.pilot = self.spp
         if not self.single:
-            self.pilot = max(chosen.fewest, min(self.spp, _PILOT) if adaptive else self.spp // _PILOT_SHARE)
+            self.pilot = max(chosen.fewest, min(self.spp, max(_PILOT, chosen.again)) if adaptive else self.spp // _PILOT_SHARE)
             if self.allocated and self.spp < self.pilot + self._floor:
                 raise McaaError(
                     f"{chosen} has a pilot of {self.pilot} evaluations a pixel and then at least {self._floor}, got spp = {self.spp}; "
@@ -61,40 +68,58 @@ class Rounds:
     def run(self) -> Stopped:
         """Rounds until the tolerance is met, or the evaluations or the time are spent.
 
-        Each round asks for a fixed number of evaluations in each pixel of the cells that are not done, or shares out as many by the
-        estimator's allocation: twice what the round before asked for, while the cap and the time allow it.
+        Each round asks for a number of evaluations in each pixel of the cells that are not done: under a tolerance for what each cell is
+        expected to need, else for all that are left; or it shares out as many by the estimator's allocation.
         """
-        active = list(range(len(self.cells)))
-        pixels = self.task.screen.height * self.task.screen.width
-        asked = self.pilot
+        asked = dict.fromkeys(range(len(self.cells)), self.pilot)
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
-            current = self._round(asked, active)
-            for done, index in enumerate(active):
+            rounds: dict[int, Round] = {}
+            for done, (index, each) in enumerate(asked.items()):
+                if each not in rounds:
+                    rounds[each] = self._round(each, [i for i, other in asked.items() if other == each])
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
-                self._add(index, current.estimate(self.cells[index]), current.per_pixel)
-                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else (done + 1) / len(active))
+                self._add(index, rounds[each].estimate(self.cells[index]), rounds[each].per_pixel)
+                self.bar.update(
+                    min(1.0, (self._spent / self._pixels(self.cells)) / self.spp) if self.number else (done + 1) / len(asked)
+                )
             self.number += 1
             if self.single:
                 return "spp"
-            if self.tolerance is not None:
-                active = [index for index in active if not self._met(index)]
-                if not active:
-                    return "tolerance"
-            left = self.spp * pixels - self._spent
-            room = int(left // sum(self.cells[index].height * self.cells[index].width for index in active))
-            asked = room if self.tolerance is None else min(room, 2 * asked)
-            fewest = self._floor if self.allocated else self.estimator.fewest
-            if asked < fewest:
+            active = [index for index in asked if self.tolerance is None or not self._met(index)]
+            if not active:
+                return "tolerance"
+            wanted = {index: self._needed(index) for index in active} if self.tolerance is not None else None
+            asked = self._affordable(active, wanted, self.spp * self._pixels(self.cells) - self._spent)
+            if not asked:
                 return "spp"
             if self.deadline is not None:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
-                reach = sum(self.cells[index].height * self.cells[index].width for index in active) * rate
-                asked = int(min(asked, (self.deadline - now) / reach))
-                if asked < fewest:
+                asked = self._affordable(list(asked), asked, (self.deadline - now) / rate)
+                if not asked:
                     return "seconds"
+
+    def _affordable(self, active: Sequence[int], wanted: dict[int, int] | None, left: float) -> dict[int, int]:
+        """What each cell may ask for if the `left` evaluations are shared in proportion to what is wanted; those that get too few go."""
+        least = self._floor if self.allocated else self.estimator.again
+        pixels = {index: self.cells[index].height * self.cells[index].width for index in active}
+        if wanted is None:
+            wanted = dict.fromkeys(active, int(left // sum(pixels.values())))
+        total = sum(wanted[index] * pixels[index] for index in active)
+        share = min(1.0, left / max(1, total))
+        return {index: int(wanted[index] * share) for index in active if int(wanted[index] * share) >= least}
+
+    def _needed(self, index: int) -> int:
+        """What a cell is expected to need more, its variance falling as n^-1.5, at most three times what it has had."""
+        assert self.tolerance is not None and self._picture is not None
+        had = self.sizes[index]
+        excess = self.tolerance.excess(*self._seen(index))
+        return max(self.estimator.again, math.ceil(had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)))
+
+    def _pixels(self, cells: Sequence[Cell]) -> int:
+        return sum(cell.height * cell.width for cell in cells)
 
     def _round(self, asked: int, active: Sequence[int]) -> Round:
         """The next round, of at most `asked` evaluations a pixel and with all its points under the cap."""
@@ -127,12 +152,18 @@ class Rounds:
     def _add(self, index: int, new: Estimate, points: float) -> None:
         """Merge a round into the picture, by default with weights fixed by the rounds' sizes alone, so that no value chooses its weight.
 
-        n^1.5 is the inverse variance of a shared pattern on edges.
+        n^1.5 is the inverse variance of a shared pattern on edges. An estimator that chooses its model is weighed with the inverse of the
+        cell's mean variance, which may fall by orders of magnitude once jumps are located, or a lattice is fine enough for a smooth f;
+        one weight for so many pixels depends on none of them.
         """
         cell = self.cells[index]
         if self._picture is None:
             self._picture = blank(self.task, len(new.value), new.diagnostics is not None)
-        old, weight = self.weights[index], points**1.5
+        weight = points**1.5
+        if new.model is not None and new.value[0].numel() >= MANY:
+            told = new.variance[new.variance.isfinite()].to(torch.float64)
+            weight = 1 / max(1e-300, float(told.mean())) if len(told) else 1e-300
+        old = self.weights[index]
         combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
         share: float | Tensor | None = weight / (old + weight)
         if old == 0 or combine == "discard_pilot":
@@ -142,14 +173,31 @@ class Rounds:
         add(self._picture, cell, new, share, self.task.integrand.nonfinite == "propagate")
         if new.heavy is not None:
             self.heavy.append((cell, new.heavy))
+        if new.unseen is not None:
+            before = self.unseen.get(index)
+            if before is not None and isinstance(share, float):
+                self.unseen[index] = before * (1 - share) ** 2 + new.unseen * share**2
+            else:
+                self.unseen[index] = new.unseen
+        if new.model is not None:
+            if self.model is None:
+                self.model = torch.zeros_like(self._picture.points, dtype=torch.uint8)
+            self.model[cell.window] = new.model
         self.weights[index] = old + weight
+        self.sizes[index] += points
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
         assert self.tolerance is not None
+        return self.tolerance.excess(*self._seen(index)) <= 1
+
+    def _seen(self, index: int) -> tuple[Tensor, Tensor]:
+        """A cell's values, and their variances without the floor for the unseen, which no number of samples would end."""
         assert self._picture is not None
         window = (slice(None), *self.cells[index].window)
-        return self.tolerance.met(self._picture.value[window], self._picture.variance[window])
+        value, variance = self._picture.value[window], self._picture.variance[window]
+        # of few pixels the floor is all that is known
+        return value, (variance - self.unseen.get(index, 0.0)).clamp_min(0) if value[0].numel() >= MANY else variance
 
     def picture(self) -> Estimate:
         """The picture so far; all NaN, in one channel, if not even one cell was done."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from numbers import Real
 
+import torch
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError
@@ -29,7 +30,7 @@ class Tolerance:
         if self.absolute == 0 and self.relative == 0:
             raise McaaError("a tolerance must be above 0, got 0; for instance tolerance=1e-3")
 
-    def met(self, value: Tensor, variance: Tensor) -> bool:
-        """Whether every pixel's standard error is within the tolerance."""
+    def excess(self, value: Tensor, variance: Tensor) -> float:
+        """The largest ratio of a pixel's variance to that which is allowed: the tolerance is met if it is at most 1; NaN counts as +inf."""
         allowed = (self.relative * value.abs()).clamp_min(self.absolute)
-        return bool((variance <= allowed * allowed).all())
+        return float(torch.nan_to_num(variance / (allowed * allowed), nan=torch.inf, posinf=torch.inf).max())

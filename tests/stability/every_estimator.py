@@ -12,6 +12,7 @@ from torch_mcaa.filters import Filter
 
 SHARED = [
     mcaa.Auto(),
+    mcaa.JumpCorrected(),
     mcaa.Shared(),
     mcaa.Shared(replicates=3),
     mcaa.Shared(mcaa.Independent()),
@@ -50,6 +51,8 @@ PAIRS = mcaa.Pairs(
 )
 PER_PIXEL = [*BY_FILTER, *BY_DENSITY, PAIRS, mcaa.Crude(biased_ok=True)]
 ALL = [*SHARED, *PER_PIXEL]
+ADAPTIVE = [mcaa.Auto(), mcaa.JumpCorrected()]
+"""Those of them whose values decide where others are asked for, in all channels at once."""
 ENOUGH = 48
 """Evaluations a pixel that suffice for a pilot and the floors of each."""
 

@@ -115,7 +115,14 @@ def test_04_rounds_of_a_tolerance_are_said_to_choose() -> None:
 
 @pytest.mark.parametrize(
     "chosen",
-    [mcaa.Importance(INDEPENDENT), mcaa.Importance(), mcaa.Shared(), mcaa.Stratified(weights="filter")],
+    [
+        mcaa.Importance(INDEPENDENT),
+        mcaa.Importance(),
+        mcaa.Auto(),
+        mcaa.JumpCorrected(),
+        mcaa.Shared(),
+        mcaa.Stratified(weights="filter"),
+    ],
     ids=repr,
 )
 def test_05_repeated_looks(chosen: mcaa.Importance) -> None:

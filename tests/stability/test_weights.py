@@ -209,7 +209,9 @@ def test_07_full_sinc_on_a_closed_screen(chosen: mcaa.Importance) -> None:
     assert float(z.abs().max()) < 6.5
 
 
-@pytest.mark.parametrize("chosen", [*BY_FILTER, mcaa.Stratified(weights="balance"), mcaa.Crude(), *SHARED[3:]], ids=repr)
+@pytest.mark.parametrize(
+    "chosen", [*BY_FILTER, mcaa.Stratified(weights="balance"), mcaa.Crude(), mcaa.JumpCorrected(), *SHARED[4:]], ids=repr
+)
 def test_07_estimators_that_need_the_integral_of_the_modulus_say_so(chosen: mcaa.Importance) -> None:
     """Naive: inf / inf weights, that is NaN pixels, or the sinc cut off without a word."""
     with pytest.raises(McaaError, match=r"Sinc|sinc"):

@@ -14,6 +14,8 @@ from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 
+MANY = 100
+"""Pixels that bear each other out: fewer say little of what none of them met, or of which of two estimates is better."""
 Boundary = Literal["extend", "zero", "renormalize"]
 
 
@@ -56,6 +58,8 @@ class Estimate:
         invalid: (h, w) int32, how many of them were not finite.
         diagnostics: of estimators that draw points for each pixel, else None.
         heavy: (h, w) bool, the pixels in which f was found to have no second moment by an estimator without diagnostics; None if in none.
+        unseen: (C, 1, 1) or (C, h, w) the part of `variance` that stands for what no sample met; None if that is not told apart.
+        model: (h, w) uint8, what was used: an index into the estimator's `models`; None for the first.
     """
 
     value: Tensor
@@ -64,6 +68,8 @@ class Estimate:
     invalid: Tensor
     diagnostics: Diagnostics | None = None
     heavy: Tensor | None = None
+    unseen: Tensor | None = None
+    model: Tensor | None = None
 
 
 class Round(ABC):
@@ -97,6 +103,16 @@ class Estimator(ABC):
             McaaError: for instance a filter whose modulus is not integrable, or a boundary that it would need.
         """
 
+    @property
+    def again(self) -> int:
+        """The least number of evaluations a pixel of a round that is merged with others."""
+        return self.fewest
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """The names of what it may use in a pixel."""
+        return (repr(self),)
+
     def bias(self, task: Task) -> tuple[str, ...]:
         """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
         return ()
@@ -116,12 +132,20 @@ def pooled(variance: Tensor) -> Tensor:
     return torch.maximum(around, variance)
 
 
-def settled(variance: Tensor, value: Tensor, spp: float | Tensor) -> Tensor:
-    """The variance, in place, with a floor for what no sample met, so that it is never 0 by ignorance; +inf where there is no value.
+def settled(variance: Tensor, value: Tensor, floor: Tensor) -> Tensor:
+    """The variance, in place, with the floor that `unseen` gives, so that it is never 0 by ignorance; +inf where there is no value."""
+    variance.add_(floor)
+    if not math.isfinite(value.sum().item()):
+        variance.masked_fill_(~torch.isfinite(value), torch.inf)
+    return variance
 
-    The floor is the square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a
+
+def unseen(value: Tensor, spp: float | Tensor) -> Tensor:
+    """(C, 1, 1), or (C, h, w) for `spp` (h, w): the variance that stands for what no sample met.
+
+    The square of a hundredth of the cell's range of values over the evaluations a pixel: a feature of full contrast and a
     hundredth of a sample's area; one over the number of pixels where they are fewer than a hundred, to bear each other out. A constant
-    cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n.
+    cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n^2: a standard error that falls as 1/n.
     """
     low = torch.nan_to_num(value, nan=torch.inf, posinf=torch.inf, neginf=-torch.inf).amin((-2, -1), keepdim=True)
     high = torch.nan_to_num(value, nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf).amax((-2, -1), keepdim=True)
@@ -129,10 +153,7 @@ def settled(variance: Tensor, value: Tensor, spp: float | Tensor) -> Tensor:
     magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
     rounding = 64 * torch.finfo(value.dtype).eps
     scale = torch.where(span > rounding * magnitude, span, torch.where(magnitude > 0, magnitude, torch.ones_like(magnitude)))
-    variance.add_((scale / (spp * min(100, value[0].numel()))) ** 2)
-    if not math.isfinite(value.sum().item()):
-        variance.masked_fill_(~torch.isfinite(value), torch.inf)
-    return variance
+    return (scale / (spp * min(MANY, value[0].numel()))) ** 2
 
 
 def box3(plane: Tensor) -> Tensor:
@@ -149,3 +170,14 @@ def box3(plane: Tensor) -> Tensor:
         torch.add(plane.narrow(dim, 0, 1), plane.narrow(dim, 1, 1), out=total.narrow(dim, 0, 1)).mul_(1 / 2)
         plane = total
     return plane
+
+
+def dilated(mask: Tensor, by: int) -> Tensor:
+    """The pixels at most `by` rows and columns from one of the mask, bool (h, w)."""
+    for dim in (0, 1):
+        wide, size = mask.clone(), mask.shape[dim]
+        for step in range(1, min(by, size - 1) + 1):
+            wide.narrow(dim, step, size - step).logical_or_(mask.narrow(dim, 0, size - step))
+            wide.narrow(dim, 0, size - step).logical_or_(mask.narrow(dim, step, size - step))
+        mask = wide
+    return mask

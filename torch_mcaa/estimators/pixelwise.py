@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_mcaa.allocation import Allocation, Uniform
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.base import Diagnostics, Estimate, Estimator, Round, Task, pooled, settled
+from torch_mcaa.estimators.base import Diagnostics, Estimate, Estimator, Round, Task, pooled, settled, unseen
 from torch_mcaa.estimators.points import evaluate_points
 from torch_mcaa.estimators.tail import without_moment
 from torch_mcaa.filters import SeparableFilter
@@ -223,7 +223,7 @@ class PixelwiseRound(Round):
         if task.integrand.nonfinite == "propagate":
             value = torch.where(invalid > 0, torch.nan, value)
         points = counts.unflatten(0, (cell.height, cell.width)).to(torch.int32)
-        variance = settled(pooled(variance), value, points)
+        variance = settled(pooled(variance), value, unseen(value, points))
         diagnostics = Diagnostics(predicted.to(task.dtype), plane("ess", torch.float32), tail)
         return Estimate(value.to(task.dtype), variance.to(task.dtype), points, invalid, diagnostics)
 

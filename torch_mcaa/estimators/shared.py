@@ -1,4 +1,4 @@
-"""`Shared`: one evaluation of f serves every pixel whose filter covers it. `Auto`: what to use when one does not want to choose."""
+"""`Shared`: one evaluation of f serves every pixel whose filter covers it."""
 
 from __future__ import annotations
 
@@ -63,24 +63,3 @@ class Shared(Estimator):
         if self.replicates == 1:
             return LatticeRound(task, spp, number)
         return ReplicatedRound(task, spp, number, self.replicates)
-
-
-@dataclass(frozen=True)
-class Auto(Estimator):
-    """The default: at present `Shared(Lattice())`, which measures best of the estimators there are."""
-
-    @property
-    def fewest(self) -> int:
-        return 1
-
-    def check(self, task: Task) -> None:
-        Shared().check(task)
-
-    def bias(self, task: Task) -> tuple[str, ...]:
-        return Shared().bias(task)
-
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
-        return Shared().cell(task, adaptive)
-
-    def round(self, task: Task, spp: int, number: int) -> Round:
-        return Shared().round(task, spp, number)

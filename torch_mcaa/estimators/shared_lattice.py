@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.estimators.audit import Audit
-from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled
+from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.estimators.poles import Poles
 from torch_mcaa.estimators.splat import Splat, Sums
@@ -21,16 +21,50 @@ from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
 _SHIFT = 0x5F1F7
 
 
-class LatticeRound(Round):
-    """One lattice rule over the screen. With `contrast` it brings its variance: character sums, audit and floor; without, values only."""
+@dataclass(frozen=True)
+class Measured:
+    """What a lattice tells of a cell, before the floor for what no sample met.
 
-    def __init__(self, task: Task, spp: int, number: int, replicate: int = 0, contrast: bool = True) -> None:
+    Attributes:
+        value, variance: (C, h, w); the variance is 0 without `contrast`.
+        invalid: (h, w) int32.
+        heavy: (C, h, w) bool, where f has no second moment, or None.
+        samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0.
+        at: where they lie.
+    """
+
+    value: Tensor
+    variance: Tensor
+    invalid: Tensor
+    heavy: Tensor | None
+    samples: Tensor | None
+    at: Geometry
+
+
+class LatticeRound(Round):
+    """One lattice rule over the screen. With `contrast` it brings its variance: character sums, audit and floor; without, values only.
+
+    With `lines` its points lie on lines along both axes, 1 px apart, as many lines a pixel as points. Without `audited` there is no audit.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        spp: int,
+        number: int,
+        replicate: int = 0,
+        contrast: bool = True,
+        lines: bool = False,
+        audited: bool = True,
+    ) -> None:
         sx, sy = (float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
         self.task = task
-        self.strip = Lattice().strip(spp, replicate, contrast, (sx, sy))
+        audited = audited and contrast
+        self.strip = Lattice().strip(spp, replicate, audited, (sx, sy), lines)
         self.contrast = contrast
         # a strip without a point to spare has no audit
-        self.audit = Audit(task, self.strip, number) if contrast and self.strip.count < spp * self.strip.period else None
+        audited = audited and self.strip.count < spp * self.strip.period
+        self.audit = Audit(task, self.strip, number) if audited else None
         counts = self.strip.row_counts()
         if self.audit is not None:
             counts[self.audit.row()] += 1
@@ -41,23 +75,44 @@ class LatticeRound(Round):
         self._splats: dict[tuple[int, ...], Splat] = {}
 
     def points(self, cell: Cell) -> int:
-        return int(self._row_points(cell).sum()) * cell.width
+        return int(self.row_points(cell).sum()) * cell.width
 
-    def _row_points(self, cell: Cell) -> Tensor:
+    def row_points(self, cell: Cell) -> Tensor:
         return self.counts[torch.arange(cell.row, cell.row + cell.height) % self.strip.period]
 
     def estimate(self, cell: Cell) -> Estimate:
+        found = self.measured(cell)
+        variance, floor = found.variance, None
+        if self.contrast:
+            floor = unseen(found.value, self.per_pixel)
+            variance = settled(variance, found.value, floor)
+        if found.heavy is not None:
+            variance.masked_fill_(found.heavy, torch.inf)
+        points = self.row_points(cell).to(self.task.device)[:, None].expand(cell.height, cell.width)
+        return Estimate(
+            found.value,
+            variance,
+            points,
+            found.invalid,
+            heavy=None if found.heavy is None else found.heavy.any(0),
+            unseen=floor,
+        )
+
+    def measured(self, cell: Cell, keep: bool = False) -> Measured:
+        """Evaluate f in and around `cell` and weigh the samples, which `keep` keeps."""
         task = self.task
         at = self.weights.geometry(cell)
         splat = self._splat(cell, at)
         poles = Poles(task, cell, self.per_pixel, self.order)
-        value, power, extra, left, invalid = self._sums(cell, at, splat, None, poles)
+        kept: list[Tensor] | None = [] if keep else None
+        value, power, extra, left, invalid = self._sums(cell, at, splat, None, poles, kept)
         if invalid is not None:
             # samples that are not finite count as 0; each pixel learns what share of its weights, or of their moduli, is left
             weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
             masks = Splat(weights, cell, at, contrast=False)
             poles = Poles(task, cell, self.per_pixel, self.order)
-            value, power, extra, left, invalid = self._sums(cell, at, splat, masks, poles)
+            kept = [] if keep else None
+            value, power, extra, left, invalid = self._sums(cell, at, splat, masks, poles, kept)
         variance = torch.zeros_like(value)
         if power is not None:
             variance = pooled(power).mul_(1 / CHARACTER_RATIO)
@@ -70,15 +125,10 @@ class LatticeRound(Round):
                 value, variance = torch.where(left > 1e-3, value / left, torch.nan), variance / left.square().clamp_min(1e-6)
         if splat.norm is not None:
             value, variance = value / splat.norm, variance / splat.norm.square()
-        if self.contrast:
-            variance = settled(variance, value, self.per_pixel)
         heavy = poles.heavy(partial(self._row, cell, at))
-        if heavy is not None:
-            variance.masked_fill_(heavy, torch.inf)
-        points = self._row_points(cell).to(task.device)[:, None].expand(cell.height, cell.width)
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
-        return Estimate(value, variance, points, invalid, heavy=None if heavy is None else heavy.any(0))
+        return Measured(value, variance, invalid, heavy, torch.cat(kept, 2) if kept else None, at)
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
@@ -91,7 +141,7 @@ class LatticeRound(Round):
         return self._splats[key]
 
     def _sums(
-        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None, poles: Poles
+        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None, poles: Poles, kept: list[Tensor] | None
     ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
         """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), share of weights left (h, w), and counts.
 
@@ -115,7 +165,7 @@ class LatticeRound(Round):
                 values = [value.masked_fill(bad, 0) for value in values]
             return values, bad
 
-        kept, full = (None, None) if masks is None else (masks.start(0), masks.start(1))
+        finite, full = (None, None) if masks is None else (masks.start(0), masks.start(1))
         for number, batch in enumerate(splat.batches):
             for group, first in enumerate(range(0, batch.count, splat.group)):
                 planes = slice(batch.start + first, batch.start + min(first + splat.group, batch.count))
@@ -127,10 +177,12 @@ class LatticeRound(Round):
                 if bad is not None and counts is not None:
                     places = (torch.arange(at.strips)[:, None] * strip.period + y.long()).flatten().to(task.device)
                     counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
-                if masks is not None and kept is not None and full is not None:
+                if masks is not None and finite is not None and full is not None:
                     ones = torch.ones(shape, dtype=task.dtype, device=task.device)
                     masks.weigh(full, masks.batches[number], group, ones)
-                    masks.weigh(kept, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
+                    masks.weigh(finite, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
+                if kept is not None:
+                    kept.append(torch.stack(values))
                 for channel, value in enumerate(values):
                     if len(sums) <= channel:
                         sums.append(splat.start(channel))
@@ -143,9 +195,9 @@ class LatticeRound(Round):
                                 held[channel][plane] = value[:, plane - planes.start].clone()
             for channel in sums:
                 splat.add(channel, batch)
-            if masks is not None and kept is not None and full is not None:
+            if masks is not None and finite is not None and full is not None:
                 masks.add(full, masks.batches[number])
-                masks.add(kept, masks.batches[number])
+                masks.add(finite, masks.batches[number])
         extra = None
         if self.audit is not None:
             values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))
@@ -160,8 +212,8 @@ class LatticeRound(Round):
             top, left = cell.row - at.strip * strip.period, cell.col - at.col
             counts = counts[top : top + cell.height, left : left + cell.width]
         left = None
-        if masks is not None and kept is not None and full is not None:
-            left = masks.finish(kept)[0] / masks.finish(full)[0]
+        if masks is not None and finite is not None and full is not None:
+            left = masks.finish(finite)[0] / masks.finish(full)[0]
         return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, extra, left, counts
 
     def _row(self, cell: Cell, at: Geometry, strips: Tensor, planes: Tensor, channel: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -200,7 +252,8 @@ class ReplicatedRound(Round):
         value = values.mean(0)
         points = torch.stack([e.points for e in estimates]).sum(0, dtype=torch.int32)
         invalid = torch.stack([e.invalid for e in estimates]).sum(0, dtype=torch.int32)
-        variance = settled(pooled(spread), value, self.per_pixel)
+        floor = unseen(value, self.per_pixel)
+        variance = settled(pooled(spread), value, floor)
         variance.masked_fill_(torch.stack([e.variance.isinf() for e in estimates]).any(0), torch.inf)
         heavy = [e.heavy for e in estimates if e.heavy is not None]
-        return Estimate(value, variance, points, invalid, heavy=torch.stack(heavy).any(0) if heavy else None)
+        return Estimate(value, variance, points, invalid, heavy=torch.stack(heavy).any(0) if heavy else None, unseen=floor)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import torch
 
-from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled
+from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
 from torch_mcaa.estimators.points import evaluate_points
 from torch_mcaa.estimators.poles import Poles
 from torch_mcaa.grid import Cell
@@ -81,7 +81,7 @@ class SharedPointsRound(Round):
             if task.integrand.nonfinite == "propagate":
                 value = torch.where(share > 1 - 1e-5, value, torch.nan)
         points = torch.full((cell.height, cell.width), self.count, dtype=torch.int32, device=task.device)
-        variance = settled(pooled(variance), value, self.count)
+        variance = settled(pooled(variance), value, unseen(value, self.count))
         if heavy is not None:
             variance.masked_fill_(heavy, torch.inf)
         return Estimate(value, variance, points, invalid, heavy=None if heavy is None else heavy.any(0))

@@ -97,14 +97,15 @@ class Lattice(Pattern):
             total += weight.sum(0)
         return squares / total * (n / 2)
 
-    def strip(self, spp: int, replicate: int, audited: bool, shift: tuple[float, float]) -> Strip:
+    def strip(self, spp: int, replicate: int, audited: bool, shift: tuple[float, float], lines: bool = False) -> Strip:
         """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
 
-        With `audited` at least one evaluation of each strip is left over for a point off the lattice, but for spp = 1.
+        With `audited` at least one evaluation of each strip is left over for a point off the lattice, but for spp = 1. With `lines` the
+        period is 1, so that the points lie 1 px apart on lines along both axes, as many lines a pixel as points.
         """
         period, count, generator = STRIPS[max(s for s in STRIPS if s <= spp)]
-        if replicate or not audited or spp > max(STRIPS):
-            period = 1 if spp > max(STRIPS) else period
+        if replicate or not audited or lines or spp > max(STRIPS):
+            period = 1 if lines or spp > max(STRIPS) else period
             count = spp * period - (1 if audited and spp > 1 else 0)
             count += count % 2 - 1
             ranked = ranked_generators(count, period)

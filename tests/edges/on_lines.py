@@ -1,0 +1,102 @@
+"""What the tests of this folder share: a lattice in every pixel of a screen, and an f that counts what it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+import torch_mcaa as mcaa
+from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.candidates import Segments
+from torch_mcaa.edges.lines import Samples, sample
+
+FINEST = 1.1 * 2.0**-14
+"""Px: 14 halvings, the most that the estimators ask for."""
+
+
+class Ask:
+    """f(x, y), one plane (N,) or several (C, N), at float64 places; `count` evaluations so far, at `places`."""
+
+    def __init__(self, f: Callable[[Tensor, Tensor], Tensor]) -> None:
+        self.f, self.count = f, 0
+        self.places: list[tuple[Tensor, Tensor]] = []
+
+    def __call__(self, x: Tensor, y: Tensor) -> Tensor:
+        assert x.dtype == y.dtype == torch.float64
+        assert x.shape == y.shape and x.ndim == 1
+        self.count += len(x)
+        self.places.append((x, y))
+        values = self.f(x, y)
+        return values[None] if values.ndim == 1 else values
+
+
+def step(inside: Tensor) -> Tensor:
+    return inside.to(torch.float64)
+
+
+def sampled(
+    f: Callable[[Tensor, Tensor], Tensor] | Ask,
+    lines: int = 5,
+    rows: int = 12,
+    cols: int = 12,
+    row: int = 0,
+    col: int = 0,
+    shift: tuple[float, float] = (0.3217, 0.7113),
+    number: int = 0,
+) -> Samples:
+    """Every pixel of [row, row + rows) x [col, col + cols) sampled by a lattice of `lines` (odd) points."""
+    strip = mcaa.Lattice().strip(lines, number, False, shift, lines=True)
+    x, y = torch.from_numpy(strip.x), torch.from_numpy(strip.y)
+    ask = f if isinstance(f, Ask) else Ask(f)
+    return sample(ask, x, y, row, col, torch.ones(rows, cols, dtype=torch.bool), number)
+
+
+def segments(
+    low: list[float],
+    before: list[float],
+    after: list[float],
+    *,
+    axis: int = 0,
+    across: list[float] | None = None,
+    share: float = 0.2,
+    length: float = 1.0,
+) -> Segments:
+    """Segments of one channel by hand, each on a line of its own."""
+    count = len(low)
+    start = torch.tensor(low, dtype=torch.float64)
+    values = torch.tensor([before, after], dtype=torch.float64)[:, None]
+    index = torch.arange(count)
+    return Segments(
+        axis,
+        index.to(torch.float64) if across is None else torch.tensor(across, dtype=torch.float64),
+        start,
+        start + length,
+        values[0],
+        values[1],
+        share * (values[1] - values[0]).abs(),
+        start % 1,
+        torch.stack([index, index, index], 1),
+        torch.zeros(count, dtype=torch.bool),
+    )
+
+
+def crossings(
+    axis: int, across: Tensor, place: Tensor, jump: Tensor, samples: Samples, before: Tensor | None = None, width: float = 0.0
+) -> Crossings:
+    """Known jumps, `jump` (C, N), at `place` on lines of `samples`."""
+    lines, phases = (samples.y, samples.x) if axis == 0 else (samples.x, samples.y)
+    line = (across[:, None] % 1 - lines).abs().argmin(1)
+    start = torch.zeros_like(jump) if before is None else before
+    return Crossings(
+        axis, across, place, torch.full_like(place, width), start, start + jump, phases[line], torch.arange(len(place))
+    )
+
+
+def all_lines(samples: Samples, axis: int) -> Tensor:
+    """The coordinates of every line along `axis` in the samples' pixels, in order."""
+    lines, first, count = (
+        (samples.y, samples.row, samples.asked.shape[0]) if axis == 0 else (samples.x, samples.col, samples.asked.shape[1])
+    )
+    return torch.sort((torch.arange(first, first + count)[:, None] + lines).flatten()).values

@@ -1,0 +1,214 @@
+"""`JumpCorrected` and `Auto`: what locating jumps is worth, what it costs, and what is done where there are none."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from jumps import CASES, score
+from torch import Tensor
+
+import torch_mcaa as mcaa
+from torch_mcaa import scenes
+from torch_mcaa.estimators.parts import FINER, LOCATED, MODELS, PLAIN, SAMPLED
+
+# what 16 evaluations a pixel are to reach over 256 x 256, in ranges of f that are 1, 1.5 and 30
+REACH = {
+    "edges": 5e-6,
+    "edges along an axis": 5e-6,
+    "diagonal edges": 5e-6,
+    "discs of 20 to 100 px": 5e-6,
+    "discs of 3 to 9 px": 1e-3,
+    "pentagons": 2e-4,
+    "rectangles along the axes": 2e-4,
+    "two ramps": 1e-4,
+    "two ramps, 30 : 1": 1e-4,
+    "0.1 px lines": 3e-5,
+    "0.1 px lines along an axis": 3e-5,
+    "checkerboards of 16 to 40 px": 2e-3,
+}
+
+
+def noise(x: Tensor, y: Tensor) -> Tensor:
+    v = torch.sin(x.double() * 12.9898 + y.double() * 78.233) * 43758.5453
+    return (v - v.floor()).to(x.dtype)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_reach(case: str) -> None:
+    """Three orders of magnitude below any fixed pattern; the interval covers 0.90 (lines 0.85); at most 16 evaluations, all counted."""
+    result = score(case, mcaa.Auto(), 16, 2, torch.float64)
+    assert result.rmse < REACH[case]
+    assert result.spp <= 16
+    assert result.coverage >= (0.85 if "lines" in case else 0.90)
+    assert result.ratio > 0.75
+
+
+@pytest.mark.parametrize("case", ["edges", "discs of 20 to 100 px", "0.1 px lines"])
+def test_reach_in_float32(case: str) -> None:
+    assert score(case, mcaa.Auto(), 16, 2, torch.float32).rmse < 2e-5
+
+
+@pytest.mark.parametrize("case", ["edges", "discs of 20 to 100 px", "rectangles along the axes", "0.1 px lines"])
+def test_jump_corrected_reaches_it_too(case: str) -> None:
+    result = score(case, mcaa.JumpCorrected(), 16, 1, torch.float64)
+    assert result.rmse < max(3e-5, REACH[case])
+    assert result.spp <= 16
+
+
+@pytest.mark.parametrize("case", ["edges", "discs of 20 to 100 px", "pentagons", "two ramps", "checkerboards of 16 to 40 px"])
+def test_tolerance_is_met(case: str) -> None:
+    """The true error within the tolerance, no pixel beyond six of them."""
+    result = score(case, mcaa.Auto(), 512, 1, torch.float32, tolerance=1e-3)
+    assert result.rmse <= 1e-3
+    assert result.worst <= 6e-3
+    assert result.spp < 128
+
+
+@pytest.mark.parametrize(
+    "filter", [mcaa.Gaussian(0.35, radius=2.8), mcaa.Gaussian(1.0, radius=8.0)], ids=["Gaussian(0.35)", "Gaussian(1)"]
+)
+@pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 4])
+def test_other_widths(filter: mcaa.Gaussian, angle: float) -> None:
+    scene = scenes.HalfPlane(angle, 64.3)
+    centre = torch.arange(96, dtype=torch.float64) + 0.5
+    truth = scene.exact(centre[None], centre[:, None], filter)
+    picture = mcaa.render(scene, (96, 96), filter=filter, spp=16, dtype=torch.float64)
+    busy = (truth > 1e-3) & (truth < 1 - 1e-3)
+    assert float((picture.image[0] - truth)[busy].square().mean().sqrt()) < 3e-5
+
+
+@pytest.mark.parametrize("filter", [mcaa.Mitchell(), mcaa.Lanczos(3), mcaa.BlackmanHarris(), mcaa.Tent()], ids=repr)
+def test_other_filters_along_an_axis(filter: mcaa.Mitchell) -> None:
+    """An edge along an axis has the filter's own cumulative as its profile."""
+    picture = mcaa.render(lambda x, y: (x > 40.37).to(x.dtype), (64, 96), filter=filter, spp=16, dtype=torch.float64)
+    truth = 1 - filter.profile_cdf(40.37 - torch.arange(96, dtype=torch.float64) - 0.5)
+    assert float((picture.image[0] - truth).abs().max()) < 2e-4
+
+
+def test_models_say_what_was_used() -> None:
+    picture = mcaa.render(scenes.Disc(64.3, 63.2, 30), (128, 128))
+    assert picture.models == MODELS
+    assert int(picture.model[64, 64]) == PLAIN and int(picture.model[63, 34]) in (LOCATED, FINER)
+    assert bool((mcaa.render(noise, (128, 128)).model == SAMPLED).all())
+    assert picture.bias and "decide" in picture.bias[0]
+
+
+@pytest.mark.parametrize(("spp", "most"), [(16, 1.25), (64, 1.08)])
+def test_noise_costs_little_more_than_scrambled_points(spp: int, most: float) -> None:
+    """White noise of variance 1/12: what a picture's pixels scatter by, over 16384 of them (to 1 %), beside `Shared(Sobol())`."""
+    auto, sobol = (
+        float(mcaa.render(noise, (128, 128), spp=spp, estimator=e, dtype=torch.float64).image.std())
+        for e in (mcaa.Auto(), mcaa.Shared(mcaa.Sobol()))
+    )
+    assert auto < most * sobol
+
+
+def test_smooth_functions_are_no_worse_than_on_a_lattice() -> None:
+    for scene, limit in (
+        (scenes.Sinusoid(0.6, 0.5, 0.2), 1e-6),
+        (scenes.Blob(30.0, 33.0, 4.0), 1e-8),
+        (scenes.Sinusoid(1.9, -0.8, 0.3), 4e-5),
+    ):
+        centre = torch.arange(64, dtype=torch.float64) + 0.5
+        filter = mcaa.Gaussian(0.5, radius=4.0)
+        truth = scene.exact(centre[None], centre[:, None], filter)
+        picture = mcaa.render(scene, (64, 64), filter=filter, dtype=torch.float64)
+        assert float((picture.image[0] - truth).square().mean().sqrt()) < limit
+
+
+def test_random_functions_are_told_and_right_on_average() -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return (x > 30.3).to(x.dtype) + 0.1 * torch.rand(x.shape, generator=generator, dtype=x.dtype)
+
+    generator = torch.Generator().manual_seed(1)
+    with pytest.warns(mcaa.McaaWarning, match="f is random"):
+        picture = mcaa.render(f, (64, 64))
+    assert bool((picture.model != LOCATED).all())
+    # 65536 draws of standard deviation 0.029 and the edge's own error
+    assert abs(float(picture.image.mean()) - (33.7 / 64 + 0.05)) < 1e-3
+
+
+@pytest.mark.parametrize("place", [32.5, 32.0, 0.0, -0.4, 63.999999, 64.3])
+def test_edges_at_odd_places(place: float) -> None:
+    """Through the centres of pixels, along their borders, at the screen's and just outside it."""
+    picture = mcaa.render(lambda x, y: (x > place).to(x.dtype), (40, 64), dtype=torch.float64)
+    filter = mcaa.Gaussian(0.5)
+    truth = 1 - filter.profile_cdf(place - torch.arange(64, dtype=torch.float64) - 0.5)
+    assert float((picture.image[0] - truth).abs().max()) < 5e-5
+
+
+def test_two_channels_with_edges_of_their_own() -> None:
+    """The faint one is located beside the strong one, and as well as alone."""
+
+    def f(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        return (x > 30.3).to(x.dtype), 0.01 * (x + 0.2 * y > 38.1).to(x.dtype)
+
+    picture = mcaa.render(f, (64, 64), filter=mcaa.Gaussian(0.5, radius=4.0), dtype=torch.float64)
+    centre = torch.arange(64, dtype=torch.float64) + 0.5
+    faint = 0.01 * torch.special.ndtr((centre[None] + 0.2 * centre[:, None] - 38.1) / math.hypot(1, 0.2) / 0.5)
+    assert float((picture.image[1] - faint).abs().max()) < 1e-6
+
+
+def test_steps_smaller_than_rounding_do_no_harm() -> None:
+    picture = mcaa.render(lambda x, y: 1 + 1e-8 * (x > 20.2), (64, 64))
+    assert float((picture.image - 1).abs().max()) < 1e-6
+
+
+def test_nan_on_one_side_of_an_edge() -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return torch.where(x > 40.2, torch.nan, (y > 20.3).to(x.dtype))
+
+    picture = mcaa.render(f, (64, 64), nonfinite="ignore", dtype=torch.float64)
+    far = picture.image[0, :, 10]
+    truth = 1 - mcaa.Gaussian(0.5).profile_cdf(20.3 - torch.arange(64, dtype=torch.float64) - 0.5)
+    assert float((far - truth).abs().max()) < 1e-4
+    assert bool(picture.image[0, :, 50].isnan().all())
+
+
+def test_a_hairline_that_no_sample_met_is_within_the_floor() -> None:
+    """A dot of 0.02 px that is missed is 3e-4 px² x w at most: less than three floors of a hundredth of the range over 11 samples."""
+    picture = mcaa.render(
+        lambda x, y: (torch.hypot(x - 31.3, y - 30.8) < 0.01).to(x.dtype) + (x > 50.2), (64, 64), dtype=torch.float64
+    )
+    error = abs(float(picture.image[0, 30, 31]) - math.pi * 1e-4 * 0.6)
+    assert error < 3 * float(picture.unseen[0, 30, 31])
+    assert float(picture.unseen.min()) > 0
+
+
+def test_f_may_take_one_dtype_alone() -> None:
+    """A network of float32 cannot be asked in float64, in which jumps are located."""
+    weight = torch.tensor([1.0, 0.3])
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return (torch.stack([x, y], -1) @ weight > 40.7).to(torch.float32)
+
+    picture = mcaa.render(f, (64, 64))
+    assert bool((picture.model == LOCATED).any())
+    with pytest.raises(mcaa.McaaError, match="f raised RuntimeError"):
+        mcaa.render(f, (64, 64), dtype=torch.float64)
+
+
+def test_what_jump_corrected_refuses() -> None:
+    with pytest.raises(mcaa.McaaError, match="base must be a Lattice"):
+        mcaa.JumpCorrected(base=mcaa.Sobol())  # type: ignore[arg-type]
+    with pytest.raises(mcaa.McaaError, match="product of two profiles"):
+        mcaa.render(noise, (16, 16), estimator=mcaa.JumpCorrected(), filter=mcaa.Sinc(), boundary="zero")
+    with pytest.raises(mcaa.McaaError, match="at least 6"):
+        mcaa.render(noise, (16, 16), estimator=mcaa.JumpCorrected(), spp=5)
+
+
+@pytest.mark.parametrize(
+    "scene", [scenes.HalfPlane(0.3, 40.0), scenes.Stripe(0.6, 45.0, 0.1), scenes.Disc(30.3, 31.2, 0.3)], ids=repr
+)
+def test_selection_bias(scene: scenes.Scene) -> None:
+    """The mean error over 24 seeds is at most a quarter of the reported standard error, floor included, and three of its own scatter."""
+    centre = torch.arange(64, dtype=torch.float64) + 0.5
+    filter = mcaa.Gaussian(0.5, radius=4.0)
+    truth = scene.exact(centre[None], centre[:, None], filter)
+    pictures = [mcaa.render(scene, (64, 64), filter=filter, seed=s, dtype=torch.float64) for s in range(24)]
+    error = torch.stack([p.image[0] for p in pictures]) - truth
+    stderr = torch.stack([p.stderr[0] for p in pictures]).square().mean(0).sqrt()
+    scatter = error.std(0) / math.sqrt(24)
+    assert float((error.mean(0).abs() - 3.5 * scatter - 0.25 * stderr).max()) <= 0

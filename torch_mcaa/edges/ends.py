@@ -1,0 +1,63 @@
+"""Where edges that lie along the lines end: there the integrals along neighbouring lines jump, which the sum over the lines misses.
+
+Crossings correct every line's integral L(y) = ∫ f(x, y) w(x - c_x) dx; the mean over k lines a pixel is then good to the extent that L is
+smooth. An edge along the lines makes it jump, by as much of the edge as the filter covers. The lines along the other axis cross that edge, and
+each crossing stands for 1/k px of it: what the sum over the lines misses there is known as a sample's is, with the lines in the place of
+the samples.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.correction import Window, outer
+from torch_mcaa.edges.lines import Samples, norm
+from torch_mcaa.edges.pieces import SAME, Numbered, place_of
+
+_FLAT = 0.1
+"""The slope below which an edge lies along lines. Steeper ones cross them often enough for L to be smooth."""
+
+
+def ends(window: Window, crossings: Crossings, samples: Samples) -> Tensor:
+    """(C, height, width): what sums over the lines along the one axis miss, from `crossings` on the lines along the other."""
+    total = window.planes(len(crossings.before))
+    part = crossings.take(_flat(crossings, samples))
+    part = part.take(window.reaching(part.axis, part.place, part.across))
+    profile = window.filter.profile
+    across = samples.y if crossings.axis == 1 else samples.x
+    # the lines lie at the same distances from every pixel's centre
+    line = torch.sort(
+        (across[:, None] + torch.arange(-window.reach - 1, window.reach + 2, device=window.device) - 0.5).flatten()
+    ).values
+    scale = norm(samples, profile, window.halo)
+    weight = profile(line) / samples.count
+    beyond = torch.cat([weight.flip(0).cumsum(0).flip(0), weight.new_zeros(1)])
+    near, beside = part.place.floor().long()[:, None] + window.offsets, part.across.floor().long()[:, None] + window.offsets
+    offset = part.place[:, None] - near - 0.5
+    missed = (1 - window.filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
+    side = profile(part.across[:, None] - beside - 0.5) / scale
+    index = window.index(near, beside) if crossings.axis == 1 else window.index(beside, near)
+    weights = outer(missed, side) if crossings.axis == 1 else outer(side, missed)
+    for channel, jump in enumerate(part.jump.to(torch.float64)):
+        total[channel].view(-1).index_add_(0, index, (jump[:, None, None] * weights).view(-1))
+    return window.inside(total)
+
+
+def _flat(crossings: Crossings, samples: Samples) -> Tensor:
+    """The indices of crossings whose edge goes on to a neighbouring line with hardly any change of place."""
+    grid = Numbered(samples, crossings.axis)
+    line = grid.number(crossings.across)
+    order = torch.argsort(place_of(line, crossings.place))
+    places = place_of(line, crossings.place)[order]
+    flat = torch.zeros_like(line, dtype=torch.bool)
+    size = crossings.jump.abs().amax(0)
+    for step in (1, -1):
+        target = place_of(line + step, crossings.place)
+        after = torch.searchsorted(places, target)
+        for index in (after, after - 1):
+            one = order[index.clamp(0, max(0, len(order) - 1))]
+            alike = (crossings.jump[:, one] - crossings.jump).abs().amax(0) <= SAME * size
+            flat |= (line[one] == line + step) & ((crossings.place[one] - crossings.place).abs() * grid.count < _FLAT) & alike
+    return flat.nonzero()[:, 0]

@@ -1,0 +1,114 @@
+"""The pieces of one colour between neighbouring crossings of a line, and how to find them again from another line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.lines import Samples
+
+SHORT = 1.5
+"""Px: longer pieces than this are on the next line for certain, unless they end."""
+SAME = 0.35
+"""A colour is that of the piece within this share of the smaller jump at its ends."""
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces [first, second] of lines, `line` counted over the screen; colours (C, P) before, in, and after each."""
+
+    line: Tensor
+    first: Tensor
+    second: Tensor
+    before: Tensor
+    inside: Tensor
+    after: Tensor
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def take(self, index: Tensor) -> Pieces:
+        """The pieces at `index`, integers or bool."""
+        return Pieces(*(getattr(self, field.name)[..., index] for field in fields(self)))
+
+    @property
+    def width(self) -> Tensor:
+        """(P,) px."""
+        return self.second - self.first
+
+    @property
+    def tolerance(self) -> Tensor:
+        """(P,) how far a colour may be from the piece's."""
+        jumps = ((self.inside - self.before).abs().amax(0), (self.after - self.inside).abs().amax(0))
+        return SAME * torch.minimum(*jumps)
+
+
+class Numbered:
+    """The lines of a lattice along one axis, counted in order."""
+
+    def __init__(self, samples: Samples, axis: int) -> None:
+        self.axis, self.count = axis, samples.count
+        across, phase = (samples.y, samples.x) if axis == 0 else (samples.x, samples.y)
+        order = torch.argsort(across)
+        self._across, self._phase = across[order], phase[order]
+
+    def number(self, across: Tensor) -> Tensor:
+        """The number of the line at `across`."""
+        return ((across - self._across[0]) * self.count).round().long()
+
+    def across(self, number: Tensor) -> Tensor:
+        return self._across[number % self.count] + torch.div(number, self.count, rounding_mode="floor")
+
+    def phase(self, number: Tensor) -> Tensor:
+        return self._phase[number % self.count]
+
+
+class Known:
+    """Pieces by place: is there one of a colour about an interval of a line?"""
+
+    def __init__(self, pieces: Pieces) -> None:
+        self.order = torch.argsort(place_of(pieces.line, pieces.first))
+        self.pieces = pieces.take(self.order)
+        self._places = place_of(self.pieces.line, self.pieces.first)
+
+    def at(self, line: Tensor, first: Tensor, second: Tensor, inside: Tensor, tolerance: Tensor, slack: float | Tensor) -> Tensor:
+        """(N,) the known piece that meets [first - slack, second + slack] on the line, or -1."""
+        found = torch.full_like(line, -1)
+        if len(self.pieces) == 0:
+            return found
+        last = torch.searchsorted(self._places, place_of(line, second + slack), right=True) - 1
+        for back in range(4):
+            index = (last - back).clamp_min(0)
+            piece = self.pieces.take(index)
+            fits = (last - back >= 0) & (piece.line == line) & (piece.second >= first - slack)
+            # samples of two pieces may hide what is between them: that is a longer piece, and another one
+            fits &= ((piece.second - piece.first) - (second - first)).abs() <= 0.5 * torch.maximum(
+                piece.second - piece.first, second - first
+            )
+            fits &= (piece.inside - inside).abs().amax(0) <= tolerance
+            found = torch.where(fits & (found < 0), index, found)
+        return found
+
+
+def place_of(line: Tensor, along: Tensor) -> Tensor:
+    return line.to(torch.float64) * 2.0**21 + along
+
+
+def pieces_of(crossings: Crossings, grid: Numbered) -> tuple[Pieces, Tensor]:
+    """The pieces between neighbouring crossings of a line, and the index (P, 2) of their crossings."""
+    line = grid.number(crossings.across)
+    order = torch.argsort(place_of(line, crossings.place))
+    a, b = order[:-1], order[1:]
+    between = (crossings.after[:, a] - crossings.before[:, b]).abs().amax(0)
+    jumps = torch.minimum(crossings.jump[:, a].abs().amax(0), crossings.jump[:, b].abs().amax(0))
+    # the leaves of one steep step touch each other
+    gap = crossings.place[b] - crossings.place[a] - (crossings.width[a] + crossings.width[b]) / 2
+    good = (line[a] == line[b]) & (gap > torch.minimum(crossings.width[a], crossings.width[b]))
+    good &= (between <= SAME * jumps) | (crossings.place[b] - crossings.place[a] > SHORT)
+    a, b = a[good], b[good]
+    inside = (crossings.after[:, a] + crossings.before[:, b]) / 2
+    pieces = Pieces(line[a], crossings.place[a], crossings.place[b], crossings.before[:, a], inside, crossings.after[:, b])
+    return pieces, torch.stack([a, b], 1)

@@ -1,0 +1,291 @@
+"""Thin pieces, which a line's samples hit only now and then: followed from line to line, so that every line they cross has them.
+
+A piece A|B|C of a line is found for certain where it is longer than the samples' distance. A shorter one is found with probability chord / h,
+and to correct it only where it was found would be worse than nothing. From a piece that was found its neighbours on the next lines are foretold
+and bisected, until a piece that the samples found, or its tip, is met.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
+from torch_mcaa.edges.candidates import Segments, threshold
+from torch_mcaa.edges.lines import Ask, Samples
+from torch_mcaa.edges.pieces import SAME, SHORT, Known, Numbered, Pieces, pieces_of, place_of
+
+_STEEPEST = 3.0
+_LINES = 400
+_WITHIN = 2.0**-10
+"""Px: how far off its ends may be where the last two lines foretell them."""
+_PROBES, _PROBES_APART = 7, 0.2
+"""Places inside a short piece where it is asked if it is one piece, unless it is shorter than the second, in px."""
+_LINE = 16
+"""Evaluations that it takes to find the ends of a piece on the next line."""
+_THINNEST = 1e-3
+_TWICE = 5e-4
+"""Px: crossings of one jump closer than this are one that was found twice."""
+
+
+def complete(
+    ask: Ask,
+    crossings: Crossings,
+    samples: Samples,
+    wanted: Tensor,
+    origin: tuple[int, int],
+    finest: float,
+    seed: int,
+) -> Crossings:
+    """The crossings with those of the thin pieces on the lines between them, and without those that cannot be followed.
+
+    wanted: bool (R, Q), the pixels from `origin` (row, col) inside which pieces are followed.
+    """
+    if len(crossings) < 2:
+        return crossings
+    grid = Numbered(samples, crossings.axis)
+    crossings = _opened(ask, crossings, grid, finest, seed)
+    pieces, ends = pieces_of(crossings, grid)
+    known = Known(pieces)
+    start = pieces.width < SHORT
+    # a parallel piece close by is another one: what continues this one overlaps it, or nearly
+    slack = torch.minimum(pieces.width / 2, torch.full_like(pieces.first, _STEEPEST / grid.count))
+    work = _Walk(ask, grid, known, wanted, origin, finest, seed, crossings)
+    lonely = start.clone()
+    unmet = start.clone()
+    for direction in (1, -1):
+        beside = known.at(pieces.line + direction, pieces.first, pieces.second, pieces.inside, pieces.tolerance, slack)
+        alone = start & (beside < 0)
+        lonely &= alone
+        if direction < 0:
+            # what was followed from above has been joined from below
+            alone &= ~work.reached_mask(pieces)
+        where = alone.nonzero()[:, 0]
+        if len(where):
+            other = known.at(pieces.line - direction, pieces.first, pieces.second, pieces.inside, pieces.tolerance, slack)[where]
+            moved = work.follow(pieces.take(where), direction, other)
+            unmet[where[moved]] = False
+    drop = _held(pieces, grid) & lonely & unmet & (pieces.width < 1) & ~work.reached_mask(pieces)
+    return work.with_found(crossings.take(_without(len(crossings), ends[drop])))
+
+
+def unfollowed(crossings: Crossings, samples: Samples) -> tuple[Crossings, float]:
+    """The crossings without those of the thin pieces that samples have hit, which are then sampled, and what following them would take."""
+    grid = Numbered(samples, crossings.axis)
+    pieces, ends = pieces_of(crossings, grid)
+    hit = _held(pieces, grid) & (pieces.width < 1)
+    cost = _LINE * float((1 / pieces.width[hit].clamp_min(_THINNEST) - 1).sum())
+    return crossings.take(_without(len(crossings), ends[hit])), cost
+
+
+def _held(pieces: Pieces, grid: Numbered) -> Tensor:
+    """Which pieces a sample lies in."""
+    phase = grid.phase(pieces.line)
+    return torch.floor(pieces.second - phase) > torch.floor(pieces.first - phase)
+
+
+def _without(count: int, ends: Tensor) -> Tensor:
+    """The indices of `count` crossings but for those at the ends (P, 2) of pieces."""
+    kept = torch.ones(count, dtype=torch.bool, device=ends.device)
+    kept[ends.flatten()] = False
+    return kept.nonzero()[:, 0]
+
+
+def _opened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed: int) -> Crossings:
+    """With the crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
+    pieces, _ = pieces_of(crossings, grid)
+    pieces = pieces.take(((pieces.width < SHORT) & (pieces.width > _PROBES_APART)).nonzero()[:, 0])
+    if len(pieces) == 0:
+        return crossings
+    apart, across = pieces.width / (_PROBES + 1), grid.across(pieces.line)
+    places = pieces.first + apart * torch.arange(_PROBES + 2, device=apart.device)[:, None]
+    places[0] += 1e-3
+    places[-1] -= 1e-3
+    values = ask_on(ask, crossings.axis, places[1:-1].flatten(), across.repeat(_PROBES)).unflatten(1, (_PROBES, -1))
+    values = torch.cat([pieces.inside[:, None], values, pieces.inside[:, None]], 1)
+    changed = (values[:, 1:] - values[:, :-1]).abs().amax(0) > pieces.tolerance
+    probe, piece = changed.nonzero().unbind(1)
+    line = pieces.line[piece]
+    key = torch.stack([line, (places[probe, piece] * 2**20).long(), torch.ones_like(line)], 1)
+    segments = Segments(
+        crossings.axis,
+        across[piece],
+        places[probe, piece],
+        places[probe + 1, piece],
+        values[:, probe, piece],
+        values[:, probe + 1, piece],
+        threshold(values[:, probe + 1, piece] - values[:, probe, piece]),
+        grid.phase(line),
+        key,
+        line >= 0,
+    )
+    return joined([crossings, bisect(ask, segments, finest, seed)])
+
+
+class _Walk:
+    """Pieces followed over lines; it gathers what it finds."""
+
+    def __init__(
+        self,
+        ask: Ask,
+        grid: Numbered,
+        known: Known,
+        wanted: Tensor,
+        origin: tuple[int, int],
+        finest: float,
+        seed: int,
+        crossings: Crossings,
+    ) -> None:
+        self.ask, self.grid, self.known, self.wanted, self.origin = ask, grid, known, wanted, origin
+        self.finest, self.seed, self.axis = finest, seed, crossings.axis
+        self.found: list[tuple[Tensor, Crossings, Crossings]] = []
+        self.reached: list[Tensor] = []
+
+    def reached_mask(self, pieces: Pieces) -> Tensor:
+        """Which pieces a walk ended at."""
+        mask = torch.zeros(len(pieces), dtype=torch.bool, device=pieces.line.device)
+        for index in self.reached:
+            mask[index] = True
+        return mask
+
+    def follow(self, pieces: Pieces, direction: int, behind: Tensor) -> Tensor:
+        """Follow pieces towards higher (+1) or lower (-1) lines; which of them were found on the next line."""
+        width = pieces.width
+        # the slopes, in px a line, from the piece on the line behind or from one close by
+        slope1, slope2 = torch.zeros_like(width), torch.zeros_like(width)
+        old = behind >= 0
+        if bool(old.any()):
+            there = self.known.pieces.take(behind[old])
+            slope1[old], slope2[old] = pieces.first[old] - there.first, pieces.second[old] - there.second
+        fresh = (~old).nonzero()[:, 0]
+        alive = torch.ones(len(pieces), dtype=torch.bool, device=pieces.line.device)
+        if len(fresh):
+            near = pieces.take(fresh)
+            step = 0.2 * torch.minimum(near.width, torch.full_like(near.first, 1 / self.grid.count))
+            across = self.grid.across(near.line) + direction * step
+            ok, one, two = self._meet(near, across, near.first, near.second, 0.6)
+            per_line = 1 / (self.grid.count * step)
+            slope1[fresh[ok]] = (one.place - near.first[ok]) * per_line[ok]
+            slope2[fresh[ok]] = (two.place - near.second[ok]) * per_line[ok]
+            alive[fresh[~ok]] = False
+        steep = torch.minimum(slope1.abs(), slope2.abs()) * self.grid.count > _STEEPEST
+        alive &= ~steep
+        moved = torch.zeros_like(alive)
+        index = alive.nonzero()[:, 0]
+        current, slope1, slope2 = pieces.take(index), slope1[index], slope2[index]
+        for number in range(_LINES):
+            if len(index) == 0:
+                break
+            line = current.line + direction
+            first, second = current.first + slope1, current.second + slope2
+            middle, across = (first + second) / 2, self.grid.across(line)
+            go = (second - first > 1e-3) & self._inside(middle, across)
+            met = self.known.at(line, first, second, current.inside, current.tolerance, 0.05)
+            self.reached.append(self.known.order[met[(met >= 0) & go]])
+            if number == 0:
+                moved[index[met >= 0]] = True
+            go &= met < 0
+            keep = go.nonzero()[:, 0]
+            index, current, first, second, line, across = (
+                index[keep],
+                current.take(keep),
+                first[keep],
+                second[keep],
+                line[keep],
+                across[keep],
+            )
+            if len(index) == 0:
+                break
+            ok, one, two = self._next(current, across, first, second)
+            index, current, line = index[ok], current.take(ok.nonzero()[:, 0]), line[ok]
+            if number == 0:
+                moved[index] = True
+            self.found.append((line, one, two))
+            slope1, slope2 = one.place - current.first, two.place - current.second
+            current = Pieces(line, one.place, two.place, one.before, (one.after + two.before) / 2, two.after)
+        return moved
+
+    def _inside(self, along: Tensor, across: Tensor) -> Tensor:
+        x, y = (along, across) if self.axis == 0 else (across, along)
+        row, col = y.floor().long() - self.origin[0], x.floor().long() - self.origin[1]
+        inside = (row >= 0) & (row < self.wanted.shape[0]) & (col >= 0) & (col < self.wanted.shape[1])
+        return inside & self.wanted[row.clamp(0, self.wanted.shape[0] - 1), col.clamp(0, self.wanted.shape[1] - 1)]
+
+    def _next(self, like: Pieces, across: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Crossings, Crossings]:
+        """As `_meet`, but first within `_WITHIN` of the ends foretold."""
+        inner = torch.minimum((second - first) / 4, torch.full_like(first, _WITHIN))
+        places = torch.stack([first - _WITHIN, first + inner, second - inner, second + _WITHIN])
+        values = ask_on(self.ask, self.axis, places.flatten(), across.repeat(4)).unflatten(1, places.shape)
+        told = torch.stack([like.before, like.inside, like.inside, like.after], 1)
+        close = ((values - told).abs().amax(0) <= like.tolerance).all(0)
+        where = close.nonzero()[:, 0]
+        ok, one, two = self._ends(across[where], places[:, where], values[:, :, where])
+        found = torch.zeros_like(close)
+        found[where[ok]] = True
+        far = (~close).nonzero()[:, 0]
+        if len(far):
+            again, one_far, two_far = self._meet(like.take(far), across[far], first[far], second[far], 0.3)
+            found[far[again]] = True
+            order = torch.argsort(torch.cat([where[ok], far[again]]))
+            one, two = joined([one, one_far]).take(order), joined([two, two_far]).take(order)
+        return found, one, two
+
+    def _meet(
+        self, like: Pieces, across: Tensor, first: Tensor, second: Tensor, margin: float
+    ) -> tuple[Tensor, Crossings, Crossings]:
+        """Find the ends of pieces foretold at [first, second]: which were (N,), and the crossings of those at their two ends."""
+        width, middle = second - first, (first + second) / 2
+        places = torch.stack([first - margin * width, middle, middle, second + margin * width])
+        values = ask_on(self.ask, self.axis, places[[0, 1, 3]].flatten(), across.repeat(3)).unflatten(1, (3, -1))
+        a, b, c = values.unbind(1)
+        ok = (b - like.inside).abs().amax(0) <= like.tolerance
+        # each outer end must be of the colour beside the piece
+        ok &= (a - like.before).abs().amax(0) <= (a - like.inside).abs().amax(0)
+        ok &= (c - like.after).abs().amax(0) <= (c - like.inside).abs().amax(0)
+        where = ok.nonzero()[:, 0]
+        both, one, two = self._ends(across[where], places[:, where], values[:, :, where][:, [0, 1, 1, 2]])
+        ok = torch.zeros_like(ok)
+        ok[where[both]] = True
+        return ok, one, two
+
+    def _ends(self, across: Tensor, places: Tensor, values: Tensor) -> tuple[Tensor, Crossings, Crossings]:
+        """Bisect the two ends of pieces, [places[0], places[1]] and [places[2], places[3]], with `values` (C, 4, N)."""
+        count, line = len(across), self.grid.number(across)
+        before, after = values[:, [0, 2]].flatten(1), values[:, [1, 3]].flatten(1)
+        low, lines = places[[0, 2]].flatten(), line.repeat(2)
+        segments = Segments(
+            self.axis,
+            across.repeat(2),
+            low,
+            places[[1, 3]].flatten(),
+            before,
+            after,
+            threshold(after - before),
+            self.grid.phase(lines),
+            torch.stack([lines, (low * 2**20).long(), torch.zeros_like(lines)], 1),
+            lines >= 0,
+        )
+        got = bisect(self.ask, segments, self.finest, self.seed)
+        # one clear jump, or it is not the end of the piece
+        clear = got.jump.abs().amax(0) > 0.5 * (after - before).abs().amax(0)[got.segment]
+        got = got.take(clear.nonzero()[:, 0])
+        single = torch.bincount(got.segment, minlength=2 * count) == 1
+        both = single[:count] & single[count:]
+        got = got.take(both[got.segment % max(1, count)].nonzero()[:, 0])
+        return both, got.take(got.segment < count), got.take(got.segment >= count)
+
+    def with_found(self, crossings: Crossings) -> Crossings:
+        """The crossings and those found, of a crossing found twice only one."""
+        if not self.found:
+            return crossings
+        everything = joined([crossings, *(part for found in self.found for part in found[1:])])
+        place = place_of(self.grid.number(everything.across), everything.place)
+        order = torch.argsort(place)
+        width = everything.width[order]
+        same = (place[order][1:] - place[order][:-1] < (_TWICE + (width[1:] + width[:-1]) / 2)) & (
+            (everything.jump[:, order][:, 1:] - everything.jump[:, order][:, :-1]).abs().amax(0)
+            < SAME * everything.jump[:, order][:, 1:].abs().amax(0)
+        )
+        new = torch.ones(len(order), dtype=torch.bool, device=order.device)
+        new[1:] = ~same
+        return everything.take(order[new])

@@ -1,0 +1,337 @@
+"""`Auto`: what to use when one does not want to choose."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.candidates import Segments, candidates
+from torch_mcaa.edges.correction import Window
+from torch_mcaa.edges.lines import sample
+from torch_mcaa.edges.pilot import Judged, Verdict, judge
+from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
+from torch_mcaa.estimators.counted import Counted, Spent, is_random, on_screen
+from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, STEPS, blocks_of
+from torch_mcaa.estimators.parts import MODELS, Part, Parts, lines_for
+from torch_mcaa.estimators.shared import Shared
+from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.grid import Cell
+
+_PILOT = 0x9110
+_RING = 2
+"""Pixels around a cell that the pilot has samples in."""
+_FEWEST_LINES = 3
+_FEWEST = 5
+"""Evaluations a pixel for a pilot and a lattice of 3 with room to locate its jumps; with fewer there is no pilot."""
+_ENOUGH_LINES = 5
+_ALIKE = 0.6
+"""The share of the most lines from which on quiet blocks have no more lines than those that jump."""
+_SAFE = 0.95
+"""Of what can be paid for by what is expected, what is planned."""
+_DEAR = 15
+"""Evaluations a pixel that a block may cost with three lines, or its share if that is more, before five lines elsewhere are worth more."""
+_DEAREST = 2.5
+"""A block that would cost so many times that is sampled plainly in any case."""
+_SPARSE = 0.9
+"""The share of the blocks that jump which have to be located if the number of lines is to be as large as can be paid for."""
+_CUT = 0.01
+"""What w may have at its sides, in parts of what it has in the middle."""
+_FEW = 256
+"""Pixels of a cell that cannot pay for a look at their candidates: they are sampled plainly."""
+_AGAIN = 6
+"""The least of a round that is merged with others: a plain one would spoil jumps that have been located."""
+_FOLLOWED = 0.5
+_CROSSING, _CROSSING_STEP = -5.0, 2.0
+"""Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket."""
+_DENSE = 3.0
+"""What more a crossing takes where there are many: for each one in a pixel of a line, in parts of what it takes alone."""
+_LINE, _LINE_STEP = 19.0, 4.0
+"""The same for a line across a thin piece."""
+_MARGIN, _RESERVED = 1.2, 0.9
+"""What a part whose jumps are located may cost over what is expected where others are sampled plainly, which have what it leaves; and the
+part of their own share that these keep in any case."""
+_LEAST = 1e-4
+"""What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
+_TEXTURE = 0.01
+"""The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
+
+
+@dataclass(frozen=True)
+class Auto(Estimator):
+    """The default. One sample a pixel tells what each block of 32 x 32 pixels needs.
+
+    Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
+    Where it is noise, has detail everywhere, or jumps more often than can be followed: `Shared(Lattice())` with all evaluations that
+    are left. `Rendering.model` says which. Filters that do not separate, do not end or end in a step, as the box does, and fewer than 5
+    evaluations a pixel, are `Shared(Lattice())` throughout.
+
+    Not labelled unbiased: what is done is decided by the samples.
+    """
+
+    @property
+    def fewest(self) -> int:
+        return 1
+
+    @property
+    def again(self) -> int:
+        return _AGAIN
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        return MODELS
+
+    def check(self, task: Task) -> None:
+        Shared().check(task)
+
+    def bias(self, task: Task) -> tuple[str, ...]:
+        if not _can_locate(task):
+            return Shared().bias(task)
+        return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task))
+
+    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+        if not _can_locate(task):
+            return Shared().cell(task, adaptive)
+        return (128, 128) if adaptive else (512, 512)
+
+    def round(self, task: Task, spp: int, number: int) -> Round:
+        if spp < _FEWEST or not _can_locate(task):
+            return Shared().round(task, spp, number)
+        return AutoRound(task, spp, number)
+
+
+def _can_locate(task: Task) -> bool:
+    """Whether the mean of the lines is good once jumps are located: w must go to 0 at its sides, or those are ends that lines just miss or meet."""
+    filter = task.filter
+    if not isinstance(filter, SeparableFilter) or math.isinf(filter.half_width):
+        return False
+    middle, side = filter.profile(torch.tensor([0.0, filter.half_width], dtype=torch.float64)).abs().tolist()
+    return side < _CUT * middle
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is done with a rectangle of a cell: a lattice of `lines` points a pixel and its jumps located in `steps`, or, for 0, a plain one."""
+
+    cell: Cell
+    lines: int
+    steps: int
+    cost: float
+    spread: float
+
+
+class AutoRound(Round):
+    """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part."""
+
+    def __init__(self, task: Task, spp: int, number: int, plain: bool = True) -> None:
+        self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
+        self.per_pixel = float(spp)
+
+    def points(self, cell: Cell) -> int:
+        return self.spp * cell.height * cell.width
+
+    def estimate(self, cell: Cell) -> Estimate:
+        pixels = cell.height * cell.width
+        ask = self.parts.ask(cell, self.spp * pixels)
+        if pixels < _FEW:
+            return _joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
+        self.parts.random = is_random(ask, self.parts.seed)
+        try:
+            judged, texture, spread = self._pilot(cell, ask)
+        except Spent:
+            part = self.parts.sampled(cell, ask.left // (cell.height * cell.width), ask.left)
+            return _joined(cell, [(cell, part)], ask).estimate()
+        audits = 0 if self.plain else pixels
+        assert isinstance(self.task.filter, SeparableFilter)
+        second = 2 * Window.halo_of(self.task.filter) + 1
+        plans = _plans(cell, judged, texture, spread, ask.left - audits, self.plain, second)
+        located = [plan for plan in plans if plan.lines]
+        plain = [plan for plan in plans if not plan.lines]
+        left, expected = ask.left, sum(plan.cost for plan in located)
+        reserved = sum(plan.cost for plan in plain)
+        done: list[tuple[Cell, Part]] = []
+        for plan in located:
+            budget = int(
+                plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
+            )
+            part = self.parts.located(plan.cell, plan.lines, budget, plan.steps)
+            done.append((plan.cell, part))
+            left, expected = left - part.spent, expected - plan.cost
+        # Neyman's allocation, the spread of neighbouring samples in the place of the standard deviation
+        expected = sum(plan.spread * plan.cell.height * plan.cell.width for plan in plain)
+        counts = [max(1, int(left * plan.spread / expected)) for plan in plain]
+        for plan, count in zip(plain, counts, strict=True):
+            part = self.parts.sampled(plan.cell, count, left)
+            done.append((plan.cell, part))
+            left -= part.spent
+        return _joined(cell, done, ask).estimate()
+
+    def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor]:
+        """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples."""
+        parts = self.parts
+        x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64).to(self.task.device) for axis in (0, 1))
+        row, col = cell.row - _RING, cell.col - _RING
+        asked = on_screen(self.task, row, col, (cell.height + 2 * _RING, cell.width + 2 * _RING))
+        samples = sample(ask, x[None], y[None], row, col, asked, 0)
+        found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
+        blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
+        with ask.keeping(KEPT):
+            judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
+        values = samples.values[:, _RING:-_RING, 0, _RING:-_RING]
+        span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
+        steps = [
+            torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
+            for dim, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))
+        ]
+        # a median above a number: more than half are
+        texture = torch.maximum(*(_by_block((step > _TEXTURE).to(torch.float32)) for step in steps)) > 0.5
+        spread = (_LEAST + torch.maximum(*(_by_block(step.square()) for step in steps))).sqrt()
+        return judged, texture.flatten(), spread.flatten().to(torch.float64)
+
+
+def _about(cell: Cell, segments: Segments) -> Segments:
+    """Those that begin at most a pixel beyond the cell: the last ones of the samples have no neighbours to be judged by."""
+    row, col = segments.key[:, 1], segments.key[:, 2]
+    inside = (row >= cell.row - 1) & (row <= cell.row + cell.height) & (col >= cell.col - 1) & (col <= cell.col + cell.width)
+    return segments.take(inside)
+
+
+def _by_block(plane: Tensor) -> Tensor:
+    """The means over the blocks of (h, w)."""
+    return torch.nn.functional.avg_pool2d(plane[None], BLOCK, BLOCK, ceil_mode=True, count_include_pad=False)[0]
+
+
+def _windows(cell: Cell) -> list[tuple[slice, slice]]:
+    """The blocks of a cell, row by row."""
+    return [
+        (slice(row, min(row + BLOCK, cell.height)), slice(col, min(col + BLOCK, cell.width)))
+        for row in range(0, cell.height, BLOCK)
+        for col in range(0, cell.width, BLOCK)
+    ]
+
+
+def _plans(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget: int, plain: bool, second: int) -> list[_Plan]:
+    """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
+
+    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise.
+    """
+    windows = _windows(cell)
+    pixels = torch.tensor([(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows], dtype=torch.float64)
+    spp = budget / float(pixels.sum())
+    most = lines_for(spp)
+    quiet = _quiet(cell, judged.verdict) & ~texture if plain else judged.verdict != Verdict.JUMPS
+    share = spp * pixels
+    steps = STEPS[0]
+    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
+    for fewer in STEPS[1:]:
+        busy = lines[judged.verdict == Verdict.JUMPS]
+        if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, lines_for(spp)):
+            break
+        steps = fewer
+        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
+    labels = [int(count) for count in lines]
+    return [
+        _Plan(
+            part,
+            labels[first],
+            steps,
+            sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
+            float(spread[inside].mean()),
+        )
+        for part, first, inside in _rectangles(cell, labels)
+    ]
+
+
+def _lines(
+    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int
+) -> tuple[Tensor, Tensor]:
+    """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, and the evaluations for each of them.
+
+    Blocks without a candidate may hold a thin piece that the pilot missed: they have the most lines, and what they leave of their share
+    goes to those that jump. These have all the same number of lines, and if it is not much smaller, so have the others: parts of
+    different lattices know nothing of each other's thin pieces. Where that would be too few the dearest blocks are sampled plainly, and
+    where these are many the others have three lines: what remains of the error is there.
+    """
+    more, fewer = torch.maximum(*judged.crossings), torch.minimum(*judged.crossings)
+    # along an axis that sees little of the edges none are followed
+    crossings = (more + fewer * (fewer > _FOLLOWED * more)) * (1 + _DENSE * more / pixels)
+    cost = pixels + (_CROSSING + _CROSSING_STEP * steps) * crossings + second * more + (_LINE + _LINE_STEP * steps) * judged.lines
+    jumps = judged.verdict == Verdict.JUMPS
+    if not plain:
+        count = max(_FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
+        return torch.full_like(quiet, count - 1 + count % 2, dtype=torch.int64), torch.where(jumps, cost, pixels)
+    dear = _FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
+    busy = jumps & (_FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
+    while bool(busy.any()):
+        both = _SAFE * float(share[busy | quiet].sum() / cost[busy | quiet].sum())
+        alone = _SAFE * float((share[busy].sum() + (share - most * cost)[quiet].sum()) / cost[busy].sum())
+        alike = both > _ALIKE * most
+        count = min(most, int(both if alike else alone))
+        if count >= min(_ENOUGH_LINES, most) or (count >= _FEWEST_LINES and not bool((busy & dear).any())):
+            count = count - 1 + count % 2 if int(busy.sum()) >= _SPARSE * int(jumps.sum()) else _FEWEST_LINES
+            return torch.where(busy, count, torch.where(quiet, count if alike else most, 0)), cost
+        busy[(cost * busy).argmax()] = False
+    return torch.where(quiet, most, 0), cost
+
+
+def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
+    """Blocks without candidates, but for those beside a block in which f is continuous or noise: that goes on into them."""
+    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    other = ((verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)).view(1, *size).to(torch.float32)
+    beside = torch.nn.functional.max_pool2d(other, 3, 1, 1).flatten() > 0
+    return (verdict == Verdict.NONE) & ~beside
+
+
+def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, int, list[int]]]:
+    """Rectangles of blocks of one label: the part of the cell, its first block, and all of them."""
+    wide = -(-cell.width // BLOCK)
+    runs: list[tuple[int, int, int, int]] = []
+    for top in range(0, len(labels), wide):
+        start = top
+        for block in range(top, top + wide):
+            if block + 1 == top + wide or labels[block + 1] != labels[block]:
+                runs.append((top // wide, 1, start - top, block + 1 - start))
+                start = block + 1
+    merged: list[tuple[int, int, int, int]] = []
+    for row, _, col, width in runs:
+        above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (col, width)), None)
+        if above is not None and labels[above[0] * wide + col] == labels[row * wide + col]:
+            merged[merged.index(above)] = (above[0], above[1] + 1, col, width)
+        else:
+            merged.append((row, 1, col, width))
+    found = []
+    for row, height, col, width in merged:
+        part = Cell(
+            cell.row + row * BLOCK,
+            cell.col + col * BLOCK,
+            min(height * BLOCK, cell.height - row * BLOCK),
+            min(width * BLOCK, cell.width - col * BLOCK),
+        )
+        inside = [(row + i) * wide + col + j for i in range(height) for j in range(width)]
+        found.append((part, inside[0], inside))
+    return found
+
+
+def _joined(cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
+    """The parts of a cell as one, with the evaluations of the pilot."""
+    first = parts[0][1]
+    shape = len(first.value), cell.height, cell.width
+    value, variance = (first.value.new_empty(shape) for _ in range(2))
+    points, invalid, model = pilot.points.clone(), pilot.invalid.clone(), torch.zeros_like(pilot.points)
+    density = torch.zeros(cell.height, cell.width, dtype=torch.float64, device=value.device)
+    heavy = None
+    for where, part in parts:
+        rows = slice(where.row - cell.row, where.row - cell.row + where.height)
+        cols = slice(where.col - cell.col, where.col - cell.col + where.width)
+        value[:, rows, cols], variance[:, rows, cols] = part.value, part.variance
+        points[rows, cols] += part.points
+        invalid[rows, cols] += part.invalid
+        model[rows, cols], density[rows, cols] = part.model.to(model), part.density
+        if part.heavy is not None:
+            if heavy is None:
+                heavy = torch.zeros(shape, dtype=torch.bool, device=value.device)
+            heavy[:, rows, cols] = part.heavy
+    return Part(value, variance, points, invalid, heavy, model, first.density if len(parts) == 1 else density)

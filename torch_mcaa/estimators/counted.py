@@ -1,0 +1,115 @@
+"""Asking f at single places under a budget."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.errors import McaaError
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import BLOCK
+
+_STREAM, _TWICE = 0x2A5C, 16
+
+
+class Spent(Exception):
+    """There are not enough evaluations left; none was made."""
+
+
+@dataclass
+class Precision:
+    """The dtype of the places that f is asked at: float64, in which jumps are located, unless f cannot take it."""
+
+    dtype: torch.dtype = torch.float64
+
+
+class Counted:
+    """f at float64 screen columns and rows (N,): (C, N), as `torch_mcaa.edges` asks it.
+
+    Attributes:
+        left: how many evaluations are left, `kept` of which are not for now.
+        points: (h, w) int64, the evaluations so far in each pixel of the cell.
+        invalid: (h, w) int64, how many of them were not finite; those count as 0.
+    """
+
+    def __init__(self, task: Task, cell: Cell, budget: int, precision: Precision) -> None:
+        self.task, self.cell, self.precision = task, cell, precision
+        self.left, self.kept = budget, 0
+        self.points, self.invalid = (torch.zeros(cell.height, cell.width, dtype=torch.int64, device=task.device) for _ in range(2))
+
+    @contextmanager
+    def keeping(self, share: float) -> Iterator[None]:
+        """Keep a share of what is left from those who ask inside."""
+        self.kept = int(share * self.left)
+        try:
+            yield
+        finally:
+            self.kept = 0
+
+    def __call__(self, col: Tensor, row: Tensor) -> Tensor:
+        """Raises Spent rather than ask more than the budget."""
+        task, cell = self.task, self.cell
+        i, j = row.floor().to(torch.int64) - cell.row, col.floor().to(torch.int64) - cell.col
+        inside = (i >= 0) & (i < cell.height) & (j >= 0) & (j < cell.width)
+        flat = (i * cell.width + j)[inside]
+        if len(flat) > self.left - self.kept:
+            raise Spent
+        self.left -= len(flat)
+        # in place: a place takes far less time than a plane
+        self.points.view(-1).index_add_(0, flat, torch.ones_like(flat))
+        if task.boundary != "extend":
+            # no pixel that is corrected reaches beyond the screen, so what is told there does not matter
+            col, row = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
+        parts = []
+        for c, r in zip(col.split(BLOCK), row.split(BLOCK), strict=True):
+            parts.append(torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r))))
+        values = torch.cat(parts, 1)
+        if task.integrand.nonfinite != "raise":
+            bad = ~values.isfinite().all(0)
+            if bool(bad.any()):
+                flat = (i * cell.width + j)[inside & bad]
+                self.invalid.view(-1).index_add_(0, flat, torch.ones_like(flat))
+                values = values.masked_fill(bad, 0)
+        return values
+
+    def _asked(self, x: Tensor, y: Tensor) -> list[Tensor]:
+        """f at float64 coordinates; an f that takes the picture's dtype alone, such as a network, gets that from then on."""
+        integrand, dtype = self.task.integrand, self.precision.dtype
+        try:
+            return integrand(x.to(dtype), y.to(dtype))
+        except McaaError as error:
+            # what f raised itself is chained
+            if dtype == self.task.dtype or error.__cause__ is None:
+                raise
+            values = integrand(x.to(self.task.dtype), y.to(self.task.dtype))
+            self.precision.dtype = self.task.dtype
+            return values
+
+
+def is_random(ask: Counted, seed: int) -> bool:
+    """Whether f answers differently when it is asked twice, at 16 random places of the cell; noted in the integrand."""
+    cell, index = ask.cell, torch.arange(_TWICE, device=ask.points.device)
+    col, row = (rng.uniform(seed, _STREAM, cell.row, cell.col, axis, index, dtype=torch.float64) for axis in (0, 1))
+    col, row = cell.col + col * cell.width, cell.row + row * cell.height
+    try:
+        first, second = ask(col, row), ask(col, row)
+    except Spent:
+        return False
+    if torch.equal(first, second):
+        return False
+    ask.task.integrand.random = True
+    return True
+
+
+def on_screen(task: Task, row: int, col: int, shape: tuple[int, int]) -> Tensor:
+    """bool `shape`: the pixels from (row, col) in which f may be asked: all of them unless the boundary closes the screen."""
+    rows, cols = (torch.arange(first, first + size, device=task.device) for first, size in zip((row, col), shape, strict=True))
+    if task.boundary == "extend":
+        return torch.ones(shape, dtype=torch.bool, device=task.device)
+    return ((rows >= 0) & (rows < task.screen.height))[:, None] & (cols >= 0) & (cols < task.screen.width)
