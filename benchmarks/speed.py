@@ -41,7 +41,7 @@ def compare(name: str, k: int, size: int, pairs: int) -> None:
         begin = time.perf_counter()
         expert(f, size, k)
         middle = time.perf_counter()
-        mcaa.render(f, (size, size), spp=spp)
+        mcaa.render(f, (size, size), estimator=mcaa.Shared(), spp=spp)
         end = time.perf_counter()
         if pair:
             ratios.append((end - middle) / (middle - begin))
@@ -58,12 +58,12 @@ import sys, time, torch, torch_mcaa as mcaa
 size = int(sys.argv[1])
 def f(x, y):
     return torch.sin(x * 0.01), (torch.hypot(x - 300, y - 300) < 200).float(), torch.cos(y * 0.02)
-mcaa.render(f, (64, 64))
+mcaa.render(f, (64, 64), estimator=mcaa.Shared())
 def status(key):
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith(key))
 before = status("VmRSS")
 begin = time.perf_counter()
-picture = mcaa.render(f, (size, size))
+picture = mcaa.render(f, (size, size), estimator=mcaa.Shared())
 seconds = time.perf_counter() - begin
 results = sum(t.numel() * t.element_size() for t in (picture.image, picture.stderr, picture.spp, picture.invalid, picture.model))
 peak = status("VmHWM") - before

@@ -19,7 +19,7 @@ REACH = {
     "edges along an axis": 5e-6,
     "diagonal edges": 5e-6,
     "discs of 20 to 100 px": 5e-6,
-    "discs of 3 to 9 px": 1e-3,
+    "discs of 3 to 9 px": 5e-6,
     "pentagons": 2e-4,
     "rectangles along the axes": 2e-4,
     "two ramps": 1e-4,

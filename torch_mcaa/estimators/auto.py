@@ -160,9 +160,10 @@ class AutoRound(Round):
             part = self.parts.located(plan.cell, plan.lines, budget, plan.steps)
             done.append((plan.cell, part))
             left, expected = left - part.spent, expected - plan.cost
-        # Neyman's allocation, the spread of neighbouring samples in the place of the standard deviation
-        expected = sum(plan.spread * plan.cell.height * plan.cell.width for plan in plain)
-        counts = [max(1, int(left * plan.spread / expected)) for plan in plain]
+        # half in equal shares, half by Neyman's allocation, the spread of neighbouring samples in the place of the standard deviation
+        pixels = sum(plan.cell.height * plan.cell.width for plan in plain)
+        mean = sum(plan.spread * plan.cell.height * plan.cell.width for plan in plain) / max(1, pixels)
+        counts = [max(1, int(left / pixels * (1 + plan.spread / mean) / 2)) for plan in plain]
         for plan, count in zip(plain, counts, strict=True):
             part = self.parts.sampled(plan.cell, count, left)
             done.append((plan.cell, part))

@@ -30,7 +30,7 @@ KEPT = 0.75
 """What is left has to be this much of what there was before blocks are judged, or it is not done: a few pixels cannot pay for it."""
 STEPS = (14, 11, 8)
 """Halvings of a segment of 1 px, the first that can be paid for."""
-_FIRST, _AGAIN = 0.4, 0.75
+_FIRST, _AGAIN = 0.45, 0.75
 """The share of what is left that a first shift may spend on thin pieces; and what a second shift takes, in parts of the first's cost."""
 _THIN = 2.0**-12
 """Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
@@ -105,6 +105,7 @@ class Corrector:
         self.allowed = allowed
         self.blocks = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
         self.steps = self.most_steps = steps
+        self.followed = True
 
     def run(self) -> Corrected:
         """Judge the blocks, and correct those that jump as far as the evaluations go."""
@@ -130,6 +131,9 @@ class Corrector:
             first = self._level(self.base, self.plain, found, share, open_, wanted)
             again = _AGAIN * (before - self.ask.left) + self.base.count * int(dilated(first.core, 2).sum())
         except Spent:
+            return nothing
+        if not self.followed:
+            # thin pieces everywhere: samples do as well as lines that miss them
             return nothing
         result = Corrected(first.value, None, first.near, none)
         if not bool(first.near.any()) or again > self.ask.left:
@@ -269,10 +273,11 @@ class Corrector:
         peak = torch.nn.functional.max_pool2d(density[None], (side, 1), 1, (window.reach, 0))
         peak = torch.nn.functional.max_pool2d(peak, (1, side), 1, (0, window.reach))[0]
         near = (density > 0) & wanted
-        # both axes have followed all thin pieces: one of them does for the next shift, the same for all of a piece
-        if bool((open_ & near).any()):
+        # where both axes have followed thin pieces and see them alike, one does for the next shift, the same all along a piece
+        alike = open_ & (share > 0) & (share < 1)
+        if bool((alike & near).any()):
             smooth = [torch.nn.functional.avg_pool2d(d[None], 9, 1, 4)[0] for d in densities]
-            share = torch.where(open_, (_PREFERRED * smooth[0] >= smooth[1]).to(share), share)
+            share = torch.where(alike, (_PREFERRED * smooth[0] >= smooth[1]).to(share), share)
         return Level(value, spread, near, near & (density > _CORE * peak), every, share)
 
     def _completed(
@@ -280,13 +285,14 @@ class Corrector:
     ) -> Crossings:
         """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left."""
         without, cost = unfollowed(crossings, samples)
-        if cost > share * self.ask.left:
-            return without
-        try:
-            with self.ask.keeping(1 - share):
-                return complete(self.ask, crossings, samples, wide, origin, min(self._finest, _THIN), seed)
-        except Spent:
-            return without
+        if cost <= share * self.ask.left:
+            try:
+                with self.ask.keeping(1 - share):
+                    return complete(self.ask, crossings, samples, wide, origin, min(self._finest, _THIN), seed)
+            except Spent:
+                pass
+        self.followed = self.followed and len(without) == len(crossings)
+        return without
 
     def _bisected(self, segments: Segments, samples: Samples, known: Crossings | None, seed: int) -> Crossings:
         """The crossings of the segments; without any known, every second line foretells the others."""
