@@ -272,8 +272,9 @@ def _lines(
         alike = both > _ALIKE * most
         count = min(most, int(both if alike else alone))
         if count >= min(_ENOUGH_LINES, most) or (count >= _FEWEST_LINES and not bool((busy & dear).any())):
-            count = count - 1 + count % 2 if int(busy.sum()) >= _SPARSE * int(jumps.sum()) else _FEWEST_LINES
-            return torch.where(busy, count, torch.where(quiet, count if alike else most, 0)), cost
+            few = int(busy.sum()) < _SPARSE * int(jumps.sum())
+            count = _FEWEST_LINES if few else count - 1 + count % 2
+            return torch.where(busy, count, torch.where(quiet, count if alike and not few else most, 0)), cost
         busy[(cost * busy).argmax()] = False
     return torch.where(quiet, most, 0), cost
 
