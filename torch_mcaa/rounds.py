@@ -97,13 +97,14 @@ class Rounds:
             if self.deadline is not None:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
-                asked = self._affordable(list(asked), asked, (self.deadline - now) / rate)
-                if not asked:
+                # where the time does not last for a round of all cells, it is for some of them: the loop above watches the clock
+                asked = self._affordable(list(asked), asked, (self.deadline - now) / rate) or dict.fromkeys(asked, self._least)
+                if now > self.deadline:
                     return "seconds"
 
     def _affordable(self, active: Sequence[int], wanted: dict[int, int] | None, left: float) -> dict[int, int]:
         """What each cell may ask for if the `left` evaluations are shared in proportion to what is wanted; those that get too few go."""
-        least = self._floor if self.allocated else self.estimator.again
+        least = self._least
         pixels = {index: self.cells[index].height * self.cells[index].width for index in active}
         if wanted is None:
             wanted = dict.fromkeys(active, int(left // sum(pixels.values())))
@@ -139,6 +140,11 @@ class Rounds:
             if asked == self.estimator.fewest or sum(current.points(self.cells[index]) for index in active) <= left:
                 return current
             asked -= 1
+
+    @property
+    def _least(self) -> int:
+        """The fewest evaluations a pixel of a later round."""
+        return self._floor if self.allocated else self.estimator.again
 
     @property
     def _floor(self) -> int:
