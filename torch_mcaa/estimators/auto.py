@@ -12,11 +12,12 @@ from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import sample
-from torch_mcaa.edges.pilot import Judged, Verdict, judge
+from torch_mcaa.edges.pilot import Judged, judge
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
 from torch_mcaa.estimators.counted import Counted, Spent, is_random, on_screen
-from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, STEPS, blocks_of
-from torch_mcaa.estimators.parts import MODELS, Part, Parts, lines_for
+from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, blocks_of
+from torch_mcaa.estimators.parts import MODELS, Part, Parts
+from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -24,33 +25,14 @@ from torch_mcaa.grid import Cell
 _PILOT = 0x9110
 _RING = 2
 """Pixels around a cell that the pilot has samples in."""
-_FEWEST_LINES = 3
 _FEWEST = 5
 """Evaluations a pixel for a pilot and a lattice of 3 with room to locate its jumps; with fewer there is no pilot."""
-_ENOUGH_LINES = 5
-_ALIKE = 0.6
-"""The share of the most lines from which on quiet blocks have no more lines than those that jump."""
-_SAFE = 0.95
-"""Of what can be paid for by what is expected, what is planned."""
-_DEAR = 15
-"""Evaluations a pixel that a block may cost with three lines, or its share if that is more, before five lines elsewhere are worth more."""
-_DEAREST = 2.5
-"""A block that would cost so many times that is sampled plainly in any case."""
-_SPARSE = 0.9
-"""The share of the blocks that jump which have to be located if the number of lines is to be as large as can be paid for."""
 _CUT = 0.01
 """What w may have at its sides, in parts of what it has in the middle."""
 _FEW = 256
 """Pixels of a cell that cannot pay for a look at their candidates: they are sampled plainly."""
 _AGAIN = 6
 """The least of a round that is merged with others: a plain one would spoil jumps that have been located."""
-_FOLLOWED = 0.5
-_CROSSING, _CROSSING_STEP = -5.0, 2.0
-"""Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket."""
-_DENSE = 3.0
-"""What more a crossing takes where there are many: for each one in a pixel of a line, in parts of what it takes alone."""
-_LINE, _LINE_STEP = 19.0, 4.0
-"""The same for a line across a thin piece."""
 _MARGIN, _RESERVED = 1.2, 0.9
 """What a part whose jumps are located may cost over what is expected where others are sampled plainly, which have what it leaves; and the
 part of their own share that these keep in any case."""
@@ -112,17 +94,6 @@ def _can_locate(task: Task) -> bool:
     return side < _CUT * middle
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """What is done with a rectangle of a cell: a lattice of `lines` points a pixel and its jumps located in `steps`, or, for 0, a plain one."""
-
-    cell: Cell
-    lines: int
-    steps: int
-    cost: float
-    spread: float
-
-
 class AutoRound(Round):
     """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part."""
 
@@ -147,7 +118,7 @@ class AutoRound(Round):
         audits = 0 if self.plain else pixels
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
-        plans = _plans(cell, judged, texture, spread, ask.left - audits, self.plain, second)
+        plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
@@ -203,118 +174,6 @@ def _about(cell: Cell, segments: Segments) -> Segments:
 def _by_block(plane: Tensor) -> Tensor:
     """The means over the blocks of (h, w)."""
     return torch.nn.functional.avg_pool2d(plane[None], BLOCK, BLOCK, ceil_mode=True, count_include_pad=False)[0]
-
-
-def _windows(cell: Cell) -> list[tuple[slice, slice]]:
-    """The blocks of a cell, row by row."""
-    return [
-        (slice(row, min(row + BLOCK, cell.height)), slice(col, min(col + BLOCK, cell.width)))
-        for row in range(0, cell.height, BLOCK)
-        for col in range(0, cell.width, BLOCK)
-    ]
-
-
-def _plans(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget: int, plain: bool, second: int) -> list[_Plan]:
-    """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
-
-    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise.
-    """
-    windows = _windows(cell)
-    pixels = torch.tensor([(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows], dtype=torch.float64)
-    spp = budget / float(pixels.sum())
-    most = lines_for(spp)
-    quiet = _quiet(cell, judged.verdict) & ~texture if plain else judged.verdict != Verdict.JUMPS
-    share = spp * pixels
-    steps = STEPS[0]
-    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
-    for fewer in STEPS[1:]:
-        busy = lines[judged.verdict == Verdict.JUMPS]
-        if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, lines_for(spp)):
-            break
-        steps = fewer
-        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
-    labels = [int(count) for count in lines]
-    return [
-        _Plan(
-            part,
-            labels[first],
-            steps,
-            sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
-            float(spread[inside].mean()),
-        )
-        for part, first, inside in _rectangles(cell, labels)
-    ]
-
-
-def _lines(
-    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int
-) -> tuple[Tensor, Tensor]:
-    """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, and the evaluations for each of them.
-
-    Blocks without a candidate may hold a thin piece that the pilot missed: they have the most lines, and what they leave of their share
-    goes to those that jump. These have all the same number of lines, and if it is not much smaller, so have the others: parts of
-    different lattices know nothing of each other's thin pieces. Where that would be too few the dearest blocks are sampled plainly, and
-    where these are many the others have three lines: what remains of the error is there.
-    """
-    more, fewer = torch.maximum(*judged.crossings), torch.minimum(*judged.crossings)
-    # along an axis that sees little of the edges none are followed
-    crossings = (more + fewer * (fewer > _FOLLOWED * more)) * (1 + _DENSE * more / pixels)
-    cost = pixels + (_CROSSING + _CROSSING_STEP * steps) * crossings + second * more + (_LINE + _LINE_STEP * steps) * judged.lines
-    jumps = judged.verdict == Verdict.JUMPS
-    if not plain:
-        count = max(_FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
-        return torch.full_like(quiet, count - 1 + count % 2, dtype=torch.int64), torch.where(jumps, cost, pixels)
-    dear = _FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
-    busy = jumps & (_FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
-    while bool(busy.any()):
-        both = _SAFE * float(share[busy | quiet].sum() / cost[busy | quiet].sum())
-        alone = _SAFE * float((share[busy].sum() + (share - most * cost)[quiet].sum()) / cost[busy].sum())
-        alike = both > _ALIKE * most
-        count = min(most, int(both if alike else alone))
-        if count >= min(_ENOUGH_LINES, most) or (count >= _FEWEST_LINES and not bool((busy & dear).any())):
-            few = int(busy.sum()) < _SPARSE * int(jumps.sum())
-            count = _FEWEST_LINES if few else count - 1 + count % 2
-            return torch.where(busy, count, torch.where(quiet, count if alike and not few else most, 0)), cost
-        busy[(cost * busy).argmax()] = False
-    return torch.where(quiet, most, 0), cost
-
-
-def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
-    """Blocks without candidates, but for those beside a block in which f is continuous or noise: that goes on into them."""
-    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
-    other = ((verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)).view(1, *size).to(torch.float32)
-    beside = torch.nn.functional.max_pool2d(other, 3, 1, 1).flatten() > 0
-    return (verdict == Verdict.NONE) & ~beside
-
-
-def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, int, list[int]]]:
-    """Rectangles of blocks of one label: the part of the cell, its first block, and all of them."""
-    wide = -(-cell.width // BLOCK)
-    runs: list[tuple[int, int, int, int]] = []
-    for top in range(0, len(labels), wide):
-        start = top
-        for block in range(top, top + wide):
-            if block + 1 == top + wide or labels[block + 1] != labels[block]:
-                runs.append((top // wide, 1, start - top, block + 1 - start))
-                start = block + 1
-    merged: list[tuple[int, int, int, int]] = []
-    for row, _, col, width in runs:
-        above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (col, width)), None)
-        if above is not None and labels[above[0] * wide + col] == labels[row * wide + col]:
-            merged[merged.index(above)] = (above[0], above[1] + 1, col, width)
-        else:
-            merged.append((row, 1, col, width))
-    found = []
-    for row, height, col, width in merged:
-        part = Cell(
-            cell.row + row * BLOCK,
-            cell.col + col * BLOCK,
-            min(height * BLOCK, cell.height - row * BLOCK),
-            min(width * BLOCK, cell.width - col * BLOCK),
-        )
-        inside = [(row + i) * wide + col + j for i in range(height) for j in range(width)]
-        found.append((part, inside[0], inside))
-    return found
 
 
 def _joined(cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
