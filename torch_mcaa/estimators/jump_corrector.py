@@ -137,8 +137,7 @@ class Corrector:
             return nothing
         result = Corrected(first.value, None, first.near, none)
         if not bool(first.near.any()) or again > self.ask.left:
-            # as many samples again as there were tell more than lines that nothing confirms
-            return nothing if self.ask.left > self.base.count * self.allowed.numel() else result
+            return result
         try:
             second = self._shift(self.base.count, 1, first.core, first)
         except Spent:
