@@ -71,6 +71,7 @@ class Rounds:
         Each round asks for a number of evaluations in each pixel of the cells that are not done: under a tolerance for what each cell is
         expected to need, else for all that are left; or it shares out as many by the estimator's allocation.
         """
+        pixels = self.task.screen.height * self.task.screen.width
         asked = dict.fromkeys(range(len(self.cells)), self.pilot)
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
@@ -81,9 +82,7 @@ class Rounds:
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
                 self._add(index, rounds[each].estimate(self.cells[index]), rounds[each].per_pixel)
-                self.bar.update(
-                    min(1.0, (self._spent / self._pixels(self.cells)) / self.spp) if self.number else (done + 1) / len(asked)
-                )
+                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else (done + 1) / len(asked))
             self.number += 1
             if self.single:
                 return "spp"
@@ -91,7 +90,7 @@ class Rounds:
             if not active:
                 return "tolerance"
             wanted = {index: self._needed(index) for index in active} if self.tolerance is not None else None
-            asked = self._affordable(active, wanted, self.spp * self._pixels(self.cells) - self._spent)
+            asked = self._affordable(active, wanted, self.spp * pixels - self._spent)
             if not asked:
                 return "spp"
             if self.deadline is not None:
@@ -113,14 +112,11 @@ class Rounds:
         return {index: int(wanted[index] * share) for index in active if int(wanted[index] * share) >= least}
 
     def _needed(self, index: int) -> int:
-        """What a cell is expected to need more, its variance falling as n^-1.5, at most three times what it has had."""
+        """What a cell is expected to need more, its variance falling as n^-1.5, at most `_GROWTH` times what it has had."""
         assert self.tolerance is not None and self._picture is not None
         had = self.sizes[index]
         excess = self.tolerance.excess(*self._seen(index))
         return max(self.estimator.again, math.ceil(had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)))
-
-    def _pixels(self, cells: Sequence[Cell]) -> int:
-        return sum(cell.height * cell.width for cell in cells)
 
     def _round(self, asked: int, active: Sequence[int]) -> Round:
         """The next round, of at most `asked` evaluations a pixel and with all its points under the cap."""

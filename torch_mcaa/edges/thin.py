@@ -50,7 +50,7 @@ def complete(
     start = pieces.width < SHORT
     # a parallel piece close by is another one: what continues this one overlaps it, or nearly
     slack = torch.minimum(pieces.width / 2, torch.full_like(pieces.first, _STEEPEST / grid.count))
-    work = _Walk(ask, grid, known, wanted, origin, finest, seed, crossings)
+    work = _Walk(ask, grid, known, wanted, origin, finest, seed)
     lonely = start.clone()
     unmet = start.clone()
     for direction in (1, -1):
@@ -134,11 +134,10 @@ class _Walk:
         origin: tuple[int, int],
         finest: float,
         seed: int,
-        crossings: Crossings,
     ) -> None:
         self.ask, self.grid, self.known, self.wanted, self.origin = ask, grid, known, wanted, origin
-        self.finest, self.seed, self.axis = finest, seed, crossings.axis
-        self.found: list[tuple[Tensor, Crossings, Crossings]] = []
+        self.finest, self.seed, self.axis = finest, seed, grid.axis
+        self.found: list[Crossings] = []
         self.reached: list[Tensor] = []
 
     def reached_mask(self, pieces: Pieces) -> Tensor:
@@ -200,7 +199,7 @@ class _Walk:
             index, current, line = index[ok], current.take(ok.nonzero()[:, 0]), line[ok]
             if number == 0:
                 moved[index] = True
-            self.found.append((line, one, two))
+            self.found += [one, two]
             slope1, slope2 = one.place - current.first, two.place - current.second
             current = Pieces(line, one.place, two.place, one.before, (one.after + two.before) / 2, two.after)
         return moved
@@ -278,7 +277,7 @@ class _Walk:
         """The crossings and those found, of a crossing found twice only one."""
         if not self.found:
             return crossings
-        everything = joined([crossings, *(part for found in self.found for part in found[1:])])
+        everything = joined([crossings, *self.found])
         place = place_of(self.grid.number(everything.across), everything.place)
         order = torch.argsort(place)
         width = everything.width[order]

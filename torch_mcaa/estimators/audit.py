@@ -66,8 +66,8 @@ class Audit:
             torch.maximum(inner, (there - here).square(), out=inner)
         tall = max(1, min(round(7 / self.strip.period), at.strips))
         wide = min(-(-_POINTS // tall), at.cols)
-        blind = _tile_means((seen > most).to(seen.dtype), tall, wide) > 1 / 3
-        power = torch.where(blind, _tile_means(seen, tall, wide) / 2, 0.0)
+        blind = tile_means((seen > most).to(seen.dtype), tall, wide) > 1 / 3
+        power = torch.where(blind, tile_means(seen, tall, wide) / 2, 0.0)
         plane = power.repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)
         top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
         return plane[top : top + cell.height, left : left + cell.width]
@@ -79,7 +79,7 @@ def _shifted(plane: Tensor, down: int, right: int) -> Tensor:
     return plane[max(0, -down) : height - max(0, down), max(0, -right) : width - max(0, right)]
 
 
-def _tile_means(plane: Tensor, tall: int, wide: int) -> Tensor:
+def tile_means(plane: Tensor, tall: int, wide: int) -> Tensor:
     """The means over tiles of (h, w); the last ones of a row or column are cut."""
     size = (tall, wide)
     return torch.nn.functional.avg_pool2d(plane[None], size, size, ceil_mode=True, count_include_pad=False)[0]

@@ -13,6 +13,7 @@ from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import sample
 from torch_mcaa.edges.pilot import Judged, judge
+from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
 from torch_mcaa.estimators.counted import Counted, Spent, is_random, on_screen
 from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, blocks_of
@@ -113,7 +114,7 @@ class AutoRound(Round):
         try:
             judged, texture, spread = self._pilot(cell, ask)
         except Spent:
-            part = self.parts.sampled(cell, ask.left // (cell.height * cell.width), ask.left)
+            part = self.parts.sampled(cell, ask.left // pixels, ask.left)
             return _joined(cell, [(cell, part)], ask).estimate()
         audits = 0 if self.plain else pixels
         assert isinstance(self.task.filter, SeparableFilter)
@@ -159,8 +160,8 @@ class AutoRound(Round):
             for dim, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))
         ]
         # a median above a number: more than half are
-        texture = torch.maximum(*(_by_block((step > _TEXTURE).to(torch.float32)) for step in steps)) > 0.5
-        spread = (_LEAST + torch.maximum(*(_by_block(step.square()) for step in steps))).sqrt()
+        texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
+        spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         return judged, texture.flatten(), spread.flatten().to(torch.float64)
 
 
@@ -169,11 +170,6 @@ def _about(cell: Cell, segments: Segments) -> Segments:
     row, col = segments.key[:, 1], segments.key[:, 2]
     inside = (row >= cell.row - 1) & (row <= cell.row + cell.height) & (col >= cell.col - 1) & (col <= cell.col + cell.width)
     return segments.take(inside)
-
-
-def _by_block(plane: Tensor) -> Tensor:
-    """The means over the blocks of (h, w)."""
-    return torch.nn.functional.avg_pool2d(plane[None], BLOCK, BLOCK, ceil_mode=True, count_include_pad=False)[0]
 
 
 def _joined(cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:

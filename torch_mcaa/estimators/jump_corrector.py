@@ -122,7 +122,7 @@ class Corrector:
         wanted = self.allowed & self._spread_out((verdict == Verdict.JUMPS) | (verdict == Verdict.NONE))
         if not bool((verdict == Verdict.JUMPS).any()):
             return nothing
-        found = [s.take(verdict[blocks_of(self.cell, s)] == Verdict.JUMPS) for s in found]
+        found = [s.take(verdict[block] == Verdict.JUMPS) for s, block in zip(found, part, strict=True)]
         try:
             share, open_, wanted = self._planned(found, wanted)
             if not bool(wanted.any()):
@@ -323,6 +323,15 @@ class Corrector:
         """(h, w): what each pixel's block has."""
         plane = by_block.view(self.blocks).repeat_interleave(BLOCK, 0).repeat_interleave(BLOCK, 1)
         return plane[: self.cell.height, : self.cell.width]
+
+
+def windows_of(cell: Cell) -> list[tuple[slice, slice]]:
+    """The blocks of a cell, row by row: the slices that cut them out of its planes."""
+    return [
+        (slice(row, min(row + BLOCK, cell.height)), slice(col, min(col + BLOCK, cell.width)))
+        for row in range(0, cell.height, BLOCK)
+        for col in range(0, cell.width, BLOCK)
+    ]
 
 
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:

@@ -14,7 +14,7 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Samples
 from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
 from torch_mcaa.estimators.counted import Counted, Precision
-from torch_mcaa.estimators.jump_corrector import BLOCK, STEPS, Corrector
+from torch_mcaa.estimators.jump_corrector import BLOCK, Corrector, windows_of
 from torch_mcaa.estimators.shared_lattice import LatticeRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -108,7 +108,7 @@ class Parts:
         heavy = None if found.heavy is None else found.heavy[inner]
         return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp)
 
-    def located(self, cell: Cell, count: int, budget: int, steps: int = STEPS[0]) -> Part:
+    def located(self, cell: Cell, count: int, budget: int, steps: int) -> Part:
         """A lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
 
         steps: how often a segment of 1 px is halved, at most.
@@ -186,12 +186,7 @@ class Parts:
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
         known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
         poor = (variance.sqrt() > known).any(0) & ~near
-        blocks = []
-        for row in range(0, cell.height, BLOCK):
-            for col in range(0, cell.width, BLOCK):
-                window = slice(row, min(row + BLOCK, cell.height)), slice(col, min(col + BLOCK, cell.width))
-                if bool(poor[window].any()):
-                    blocks.append(window)
+        blocks = [window for window in windows_of(cell) if bool(poor[window].any())]
         rest = left // max(1, sum(poor[window].numel() for window in blocks))
         if not blocks or rest < 1:
             return part

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
-from torch_mcaa.estimators.jump_corrector import BLOCK, STEPS
+from torch_mcaa.estimators.jump_corrector import BLOCK, STEPS, windows_of
 from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
 
@@ -44,21 +44,12 @@ class Plan:
     spread: float
 
 
-def _windows(cell: Cell) -> list[tuple[slice, slice]]:
-    """The blocks of a cell, row by row."""
-    return [
-        (slice(row, min(row + BLOCK, cell.height)), slice(col, min(col + BLOCK, cell.width)))
-        for row in range(0, cell.height, BLOCK)
-        for col in range(0, cell.width, BLOCK)
-    ]
-
-
 def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget: int, plain: bool, second: int) -> list[Plan]:
     """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
 
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise.
     """
-    windows = _windows(cell)
+    windows = windows_of(cell)
     pixels = torch.tensor([(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows], dtype=torch.float64)
     spp = budget / float(pixels.sum())
     most = lines_for(spp)
@@ -68,7 +59,7 @@ def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget
     lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
     for fewer in STEPS[1:]:
         busy = lines[judged.verdict == Verdict.JUMPS]
-        if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, lines_for(spp)):
+        if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, most):
             break
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
@@ -76,12 +67,12 @@ def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget
     return [
         Plan(
             part,
-            labels[first],
+            labels[inside[0]],
             steps,
             sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
             float(spread[inside].mean()),
         )
-        for part, first, inside in _rectangles(cell, labels)
+        for part, inside in _rectangles(cell, labels)
     ]
 
 
@@ -126,23 +117,24 @@ def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
     return (verdict == Verdict.NONE) & ~beside
 
 
-def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, int, list[int]]]:
-    """Rectangles of blocks of one label: the part of the cell, its first block, and all of them."""
+def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, list[int]]]:
+    """Rectangles of blocks of one label: the part of the cell, and its blocks."""
     wide = -(-cell.width // BLOCK)
-    runs: list[tuple[int, int, int, int]] = []
-    for top in range(0, len(labels), wide):
-        start = top
-        for block in range(top, top + wide):
-            if block + 1 == top + wide or labels[block + 1] != labels[block]:
-                runs.append((top // wide, 1, start - top, block + 1 - start))
-                start = block + 1
+    # first row, rows, first column, columns, in blocks
     merged: list[tuple[int, int, int, int]] = []
-    for row, _, col, width in runs:
-        above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (col, width)), None)
-        if above is not None and labels[above[0] * wide + col] == labels[row * wide + col]:
-            merged[merged.index(above)] = (above[0], above[1] + 1, col, width)
-        else:
-            merged.append((row, 1, col, width))
+    for row in range(len(labels) // wide):
+        start = 0
+        for col in range(wide):
+            here = row * wide + start
+            if col + 1 < wide and labels[here + col + 1 - start] == labels[here]:
+                continue
+            width = col + 1 - start
+            above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (start, width)), None)
+            if above is not None and labels[above[0] * wide + start] == labels[here]:
+                merged[merged.index(above)] = (above[0], above[1] + 1, start, width)
+            else:
+                merged.append((row, 1, start, width))
+            start = col + 1
     found = []
     for row, height, col, width in merged:
         part = Cell(
@@ -151,6 +143,5 @@ def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, int, list[int
             min(height * BLOCK, cell.height - row * BLOCK),
             min(width * BLOCK, cell.width - col * BLOCK),
         )
-        inside = [(row + i) * wide + col + j for i in range(height) for j in range(width)]
-        found.append((part, inside[0], inside))
+        found.append((part, [(row + i) * wide + col + j for i in range(height) for j in range(width)]))
     return found
