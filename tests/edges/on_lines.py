@@ -10,7 +10,7 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.candidates import Segments
-from torch_mcaa.edges.lines import Samples, sample
+from torch_mcaa.edges.lines import Everywhere, Samples, Scattered, sample
 
 FINEST = 1.1 * 2.0**-14
 """Px: 14 halvings, the most that the estimators ask for."""
@@ -45,12 +45,21 @@ def sampled(
     col: int = 0,
     shift: tuple[float, float] = (0.3217, 0.7113),
     number: int = 0,
-) -> Samples:
+) -> Everywhere:
     """Every pixel of [row, row + rows) x [col, col + cols) sampled by a lattice of `lines` (odd) points."""
     strip = mcaa.Lattice().strip(lines, number, False, shift, lines=True)
     x, y = torch.from_numpy(strip.x), torch.from_numpy(strip.y)
     ask = f if isinstance(f, Ask) else Ask(f)
-    return sample(ask, x, y, row, col, torch.ones(rows, cols, dtype=torch.bool), number)
+    return sample(ask, x, y, row, col, rows, cols, number)
+
+
+def scatter(samples: Everywhere, asked: Tensor | None = None) -> Scattered:
+    """The same samples pixel by pixel, those of `asked`, bool (R, Q), alone if it is given."""
+    planes = samples.values.transpose(2, 3)
+    asked = torch.ones(planes.shape[1:3], dtype=torch.bool) if asked is None else asked
+    slot = torch.full(asked.shape, -1)
+    slot[asked] = torch.arange(int(asked.sum()))
+    return Scattered(samples.x, samples.y, samples.row, samples.col, planes[:, asked], samples.number, slot)
 
 
 def segments(
@@ -94,9 +103,9 @@ def crossings(
     )
 
 
-def all_lines(samples: Samples, axis: int) -> Tensor:
+def all_lines(samples: Everywhere, axis: int) -> Tensor:
     """The coordinates of every line along `axis` in the samples' pixels, in order."""
     lines, first, count = (
-        (samples.y, samples.row, samples.asked.shape[0]) if axis == 0 else (samples.x, samples.col, samples.asked.shape[1])
+        (samples.y, samples.row, samples.values.shape[1]) if axis == 0 else (samples.x, samples.col, samples.values.shape[3])
     )
     return torch.sort((torch.arange(first, first + count)[:, None] + lines).flatten()).values

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
 import torch
-from on_lines import all_lines, sampled, step
+from on_lines import all_lines, sampled, scatter, step
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.candidates import candidates, threshold
-from torch_mcaa.edges.lines import Samples
+from torch_mcaa.edges.candidates import Segments, candidates, threshold
+from torch_mcaa.edges.lines import Scattered
 
 EDGE = 6.377
 
@@ -156,19 +157,36 @@ def test_a_steep_continuous_step_is_no_thin_piece() -> None:
     assert not bool(found.single[most].any())
 
 
-def unasked() -> Samples:
-    samples = sampled(lambda x, y: 5 + step(x > 2.4))
-    samples.asked[:, 6:] = False
-    samples.values[..., 6:] = 0
-    return samples
+def unasked() -> Scattered:
+    asked = torch.ones(12, 12, dtype=torch.bool)
+    asked[:, 6:] = False
+    return scatter(sampled(lambda x, y: 5 + step(x > 2.4)), asked)
 
 
 def test_nothing_is_found_between_samples_and_what_was_not_asked() -> None:
-    """5 beside the 0 that stands for no value is no jump; the jump among the samples is found."""
+    """The jump among the samples is found, and nothing at their end."""
     found = candidates(unasked(), 0)
     assert len(found) == 12 * 5
     assert float(found.high.max()) < 4
     assert len(candidates(unasked(), 1)) == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_scattered_samples_have_the_candidates_that_all_have(axis: int) -> None:
+    """Edges, a thin piece and noise in three channels, all pixels asked: the same segments, but for their order."""
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return torch.stack([step((x - y).abs() < 0.2), step(torch.hypot(x - 6, y - 6) < 4), noise(x, y)])
+
+    samples = sampled(f)
+    every, some = candidates(samples, axis), candidates(scatter(samples), axis)
+    assert len(every) > 100
+
+    def ordered(s: Segments) -> Segments:
+        return s.take(torch.argsort((s.key[:, 1] * 100 + s.key[:, 2]) * 100 + s.key[:, 0]))
+
+    for field in dataclasses.fields(Segments)[1:]:
+        assert torch.equal(getattr(ordered(every), field.name), getattr(ordered(some), field.name)), field.name
 
 
 def test_take_keeps_channels() -> None:

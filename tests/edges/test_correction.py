@@ -6,13 +6,13 @@ import math
 
 import pytest
 import torch
-from on_lines import all_lines, crossings, sampled, step
+from on_lines import all_lines, crossings, sampled, scatter, step
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import Samples, weighed
+from torch_mcaa.edges.lines import Everywhere, weighed
 from torch_mcaa.filters import SeparableFilter
 
 CPU = torch.device("cpu")
@@ -35,31 +35,31 @@ def window(filter: SeparableFilter) -> Window:
     return Window(ROW, COL, SIZE, SIZE, filter, CPU)
 
 
-def lattice(t: float, axis: int, lines: int, jumps: Tensor) -> Samples:
+def lattice(t: float, axis: int, lines: int, jumps: Tensor) -> Everywhere:
     def f(x: Tensor, y: Tensor) -> Tensor:
         return jumps * step((x if axis == 0 else y) > t)
 
     return sampled(f, lines, SIZE + 2 * AROUND, SIZE + 2 * AROUND, ROW - AROUND, COL - AROUND)
 
 
-def lines_about(axis: int, samples: Samples, filter: SeparableFilter) -> Tensor:
+def lines_about(axis: int, samples: Everywhere, filter: SeparableFilter) -> Tensor:
     """The lines that reach the window, and those up to a pixel further."""
     first, across = ROW if axis == 0 else COL, all_lines(samples, axis)
     return across[(across > first - filter.half_width - 1) & (across < first + SIZE + filter.half_width + 1)]
 
 
-def exact_crossings(t: float, axis: int, samples: Samples, jumps: Tensor, filter: SeparableFilter) -> Crossings:
+def exact_crossings(t: float, axis: int, samples: Everywhere, jumps: Tensor, filter: SeparableFilter) -> Crossings:
     across = lines_about(axis, samples, filter)
     return crossings(axis, across, torch.full_like(across, t), jumps.expand(len(jumps), len(across)), samples)
 
 
-def means(samples: Samples, filter: SeparableFilter, halo: int) -> Tensor:
+def means(samples: Everywhere, filter: SeparableFilter, halo: int) -> Tensor:
     """(C, SIZE, SIZE) of the window's pixels."""
     rows, cols = (index.flatten() for index in torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij"))
-    return weighed(samples, filter.profile, rows + ROW, cols + COL, halo).unflatten(1, (SIZE, SIZE))
+    return weighed(scatter(samples), filter.profile, rows + ROW, cols + COL, halo).unflatten(1, (SIZE, SIZE))
 
 
-def weight_sum(samples: Samples, filter: SeparableFilter) -> float:
+def weight_sum(samples: Everywhere, filter: SeparableFilter) -> float:
     """Σ w over all samples about any pixel's centre; about 1 for each sample of a pixel."""
     taps = torch.arange(-AROUND, AROUND + 1)
     x, y = (filter.profile(place[:, None] + taps - 0.5).sum(1) for place in (samples.x, samples.y))
@@ -121,7 +121,7 @@ def test_the_correction_is_what_the_samples_miss() -> None:
     assert 0.01 < float(missed.abs().max()) < 0.1
 
 
-def random_crossings(samples: Samples, axis: int, count: int, jump: Tensor) -> Crossings:
+def random_crossings(samples: Everywhere, axis: int, count: int, jump: Tensor) -> Crossings:
     """Over the window and three pixels around it."""
     generator = torch.Generator().manual_seed(1)
     across = lines_about(axis, samples, mcaa.Tent())

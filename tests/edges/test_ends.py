@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 import torch
-from on_lines import all_lines, crossings, sampled, step
+from on_lines import all_lines, crossings, sampled, scatter, step
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.edges.bisect import Crossings, joined
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
-from torch_mcaa.edges.lines import Samples, weighed
+from torch_mcaa.edges.lines import Everywhere, weighed
 from torch_mcaa.filters import SeparableFilter
 
 SIZE = 16
@@ -22,7 +22,7 @@ def rectangle(x: Tensor, y: Tensor) -> Tensor:
     return step((x > LEFT) & (x < RIGHT) & (y > TOP) & (y < BOTTOM))
 
 
-def exact(axis: int, samples: Samples) -> Crossings:
+def exact(axis: int, samples: Everywhere) -> Crossings:
     """Both crossings of every line along `axis` that meets the rectangle."""
     (low, high), (first, last) = ((LEFT, RIGHT), (TOP, BOTTOM)) if axis == 0 else ((TOP, BOTTOM), (LEFT, RIGHT))
     lines = all_lines(samples, axis)
@@ -48,7 +48,7 @@ def errors(filter: SeparableFilter, lines: int, axis: int) -> tuple[Tensor, Tens
     samples = sampled(rectangle, lines, SIZE, SIZE)
     view = Window(3, 3, SIZE - 6, SIZE - 6, filter, torch.device("cpu"))
     rows, cols = (index.flatten() + 3 for index in torch.meshgrid(*(torch.arange(SIZE - 6),) * 2, indexing="ij"))
-    plain = weighed(samples, filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
+    plain = weighed(scatter(samples), filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
     corrected = plain + view.correction(exact(axis, samples), lines)[0][0]
     missed = ends(view, exact(1 - axis, samples), samples)[0]
     expected = truth(filter)[3:-3, 3:-3]
@@ -93,7 +93,7 @@ def test_a_whole_edge_along_the_lines(filter: SeparableFilter, place: float, axi
     some = crossings(1 - axis, lines, torch.full_like(lines, place), torch.ones(1, len(lines), dtype=torch.float64), samples)
     view = Window(3, 3, SIZE - 6, SIZE - 6, filter, torch.device("cpu"))
     rows, cols = (index.flatten() + 3 for index in torch.meshgrid(*(torch.arange(SIZE - 6),) * 2, indexing="ij"))
-    plain = weighed(samples, filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
+    plain = weighed(scatter(samples), filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
     expected = 1 - filter.profile_cdf(place - torch.arange(3, SIZE - 3, dtype=torch.float64) - 0.5)
     expected = (expected[:, None] if axis == 0 else expected).expand(SIZE - 6, SIZE - 6)
     assert float((plain - expected).abs().max()) > 1e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import torch
@@ -14,6 +15,8 @@ from torch_mcaa.edges.lines import Ask
 _PLACE = 0xB15EC
 _LEAF = 1 / 16
 """Px: a part no longer followed is a step of its own where it is no wider, and smooth where it is."""
+_FAINT = 0.1
+"""A part whose change is under this share of what would be followed is smooth, however narrow: a ramp beside a jump."""
 _SPLIT = 0.1
 """How far the first places may move, in quarters of the segment."""
 _MISSED = 0.25
@@ -57,75 +60,144 @@ def joined(parts: list[Crossings]) -> Crossings:
     return Crossings(parts[0].axis, *(torch.cat([getattr(p, f.name) for p in parts], -1) for f in fields(parts[0])[1:]))
 
 
+def placed(axis: int, along: Tensor, across: Tensor) -> tuple[Tensor, Tensor]:
+    """x and y of places on lines along `axis`."""
+    return (along, across) if axis == 0 else (across, along)
+
+
 def ask_on(ask: Ask, axis: int, along: Tensor, across: Tensor) -> Tensor:
     """f (C, N) at places on lines along `axis`."""
-    return ask(along, across) if axis == 0 else ask(across, along)
+    return ask(*placed(axis, along, across))
 
 
 def bisect(ask: Ask, segments: Segments, finest: float, seed: int) -> Crossings:
+    """`bisect_all` of segments along one axis."""
+    return bisect_all(ask, [segments], finest, seed)[0]
+
+
+def bisect_all(ask: Ask, parts: Sequence[Segments], finest: float, seed: int) -> list[Crossings]:
     """Narrow brackets to `finest` px or less: whole segments by quarters at places a little random first, then by halves.
 
     The lines' samples are whole fractions of a pixel apart: without that all lines' brackets of an edge along an axis would be the same, and
     the middles of the last ones have the same error, which a random place in the last bracket adds to and does not remove.
     """
-    count = len(segments)
-    done: list[tuple[Tensor, ...]] = []
+    work = _Bisection(ask, parts, seed)
+    work.start()
+    work.halve(finest)
+    return work.found()
 
-    def followed(root: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor) -> tuple[Tensor, ...]:
-        change = (after - before).abs()
-        on = (change > segments.least[:, root]).any(0)
-        narrow = high - low <= finest
-        leaf = torch.where(on, narrow, (high - low <= _LEAF) & (change > 0).any(0))
+
+class _Bisection:
+    """Brackets at work: `root` is the segment of each, counted over all parts."""
+
+    def __init__(self, ask: Ask, parts: Sequence[Segments], seed: int) -> None:
+        self.ask, self.parts, self.seed = ask, parts, seed
+        self.across, self.low, self.high, self.phase = (
+            torch.cat([getattr(p, name) for p in parts]) for name in ("across", "low", "high", "phase")
+        )
+        self.before, self.after, self.least = (
+            torch.cat([getattr(p, name) for p in parts], 1) for name in ("before", "after", "least")
+        )
+        self.flat = torch.cat([torch.full_like(p.single, p.axis == 0) for p in parts])
+        self.done: list[tuple[Tensor, ...]] = []
+
+    def at(self, along: Tensor, root: Tensor) -> Tensor:
+        """f (C, N) at places of segments."""
+        across, flat = self.across[root], self.flat[root]
+        return self.ask(torch.where(flat, along, across), torch.where(flat, across, along))
+
+    def start(self) -> None:
+        """Quarters of the wide segments, at once: a middle alone would often miss a second thin piece close by."""
+        wide = self.high - self.low > _QUARTERED
+        whole, rest = wide.nonzero()[:, 0], (~wide).nonzero()[:, 0]
+        self.live = self.followed(rest, self.low[rest], self.high[rest], self.before[:, rest], self.after[:, rest])
+        if len(whole) == 0:
+            return
+        axis = torch.where(self.flat, 0, 1)[whole]
+        key = torch.cat([p.key for p in self.parts])[whole]
+        moved = _SPLIT * (rng.uniform(self.seed, _PLACE, axis, *key.unbind(1), dtype=torch.float64) - 0.5)
+        share = (torch.arange(1, 4, device=whole.device)[:, None] + moved) / 4
+        low, high = self.low[whole], self.high[whole]
+        places = low + share * (high - low)
+        values = self.at(places.flatten(), whole.repeat(3)).unflatten(1, places.shape)
+        ends = torch.cat([low[None], places, high[None]])
+        values = torch.cat([self.before[:, None, whole], values, self.after[:, None, whole]], 1)
+        quarters = self.followed(
+            whole.repeat(4), ends[:-1].flatten(), ends[1:].flatten(), values[:, :-1].flatten(1), values[:, 1:].flatten(1)
+        )
+        self.live = tuple(torch.cat(pair, -1) for pair in zip(self.live, quarters, strict=True))
+
+    def followed(self, root: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor) -> tuple[Tensor, ...]:
+        """The brackets that are to be narrowed further; of the others those that are steps of their own are noted."""
+        change, least = (after - before).abs(), self.least[:, root]
+        on = (change > least).any(0)
+        leaf = ~on & (high - low <= _LEAF) & (change > _FAINT * least).any(0)
         if bool(leaf.any()):
-            done.append((root[leaf], low[leaf], high[leaf], before[:, leaf], after[:, leaf]))
-        on &= ~narrow
+            self.done.append((root[leaf], low[leaf], high[leaf], before[:, leaf], after[:, leaf]))
         if not bool(on.all()):
             root, low, high, before, after = root[on], low[on], high[on], before[:, on], after[:, on]
-        few = torch.bincount(root, minlength=count)[root] <= _MOST
+        few = torch.bincount(root, minlength=len(self.across))[root] <= _MOST
         if not bool(few.all()):
             root, low, high, before, after = root[few], low[few], high[few], before[:, few], after[:, few]
         return root, low, high, before, after
 
-    root = torch.arange(count, device=segments.across.device)
-    whole = (segments.high - segments.low > _QUARTERED).nonzero()[:, 0]
-    rest = (segments.high - segments.low <= _QUARTERED).nonzero()[:, 0]
-    live = followed(rest, segments.low[rest], segments.high[rest], segments.before[:, rest], segments.after[:, rest])
-    if len(whole):
-        # quarters at once: a middle alone would often miss a second thin piece close by
-        some = segments.take(whole)
-        moved = _SPLIT * (rng.uniform(seed, _PLACE, some.axis, *some.key.unbind(1), dtype=torch.float64) - 0.5)
-        share = (torch.arange(1, 4, device=root.device)[:, None] + moved) / 4
-        places = some.low + share * (some.high - some.low)
-        values = ask_on(ask, some.axis, places.flatten(), some.across.repeat(3)).unflatten(1, places.shape)
-        ends = torch.cat([some.low[None], places, some.high[None]])
-        values = torch.cat([some.before[:, None], values, some.after[:, None]], 1)
-        quarters = followed(
-            whole.repeat(4), ends[:-1].flatten(), ends[1:].flatten(), values[:, :-1].flatten(1), values[:, 1:].flatten(1)
-        )
-        live = tuple(torch.cat(pair, -1) for pair in zip(live, quarters, strict=True))
-    while len(live[0]):
-        root, low, high, before, after = live
+    def halve(self, finest: float) -> None:
+        """Halve the brackets until all are narrow, the widest first: those at work are the first ones."""
+        steps = torch.log2((self.live[2] - self.live[1]) / finest).ceil().clamp_min(0).long()
+        order = torch.argsort(steps, descending=True, stable=True)
+        self.live = tuple(field[..., order] for field in self.live)
+        more, count = torch.bincount(steps).tolist(), 0
+        for step in range(len(more) - 1, 0, -1):
+            count += more[step]
+            if count:
+                count = self._halved(count)
+
+    def _halved(self, count: int) -> int:
+        """Halve the first `count` brackets; how many they are then."""
+        root, low, high, before, after = (field[..., :count] for field in self.live)
         middle = (low + high) / 2
-        value = ask_on(ask, segments.axis, middle, segments.across[root])
-        live = followed(
-            torch.cat([root, root]),
+        value = self.at(middle, root)
+        least, first, second = self.least[:, root], (value - before).abs(), (after - value).abs()
+        left = (first > least).any(0)
+        # almost always one half holds the jump and the other has no change
+        odd = (torch.minimum(first, second) > _FAINT * least).any(0) | (left == (second > least).any(0))
+        if not bool(odd.any()):
+            low.copy_(torch.where(left, low, middle))
+            high.copy_(torch.where(left, middle, high))
+            before.copy_(torch.where(left, before, value))
+            after.copy_(torch.where(left, value, after))
+            return count
+        halves = self.followed(
+            root.repeat(2),
             torch.cat([low, middle]),
             torch.cat([middle, high]),
             torch.cat([before, value], 1),
             torch.cat([value, after], 1),
         )
-    done.append(live)
-    root, low, high = (torch.cat([part[k] for part in done]) for k in (0, 1, 2))
-    before, after = (torch.cat([part[k] for part in done], 1) for k in (3, 4))
-    order = torch.argsort(low)
-    order = order[torch.argsort(root[order], stable=True)]
-    order = order[_whole(segments, root, after - before)[root[order]]]
-    root, low, high, before, after = root[order], low[order], high[order], before[:, order], after[:, order]
-    return Crossings(segments.axis, segments.across[root], (low + high) / 2, high - low, before, after, segments.phase[root], root)
+        self.live = tuple(torch.cat([new, old[..., count:]], -1) for new, old in zip(halves, self.live, strict=True))
+        return len(halves[0])
 
+    def found(self) -> list[Crossings]:
+        """The crossings of each part, by segment and place."""
+        every = (*self.done, self.live)
+        root, low, high = (torch.cat([part[k] for part in every]) for k in (0, 1, 2))
+        before, after = (torch.cat([part[k] for part in every], 1) for k in (3, 4))
+        # a segment is at most 1 px long
+        order = torch.argsort(4 * root + (low - self.low[root]))
+        order = order[self._whole(root, after - before)[root[order]]]
+        root, low, high, before, after = root[order], low[order], high[order], before[:, order], after[:, order]
+        place, width, across, phase = (low + high) / 2, high - low, self.across[root], self.phase[root]
+        sizes = torch.tensor([0, *(len(p) for p in self.parts)], device=root.device).cumsum(0)
+        starts = torch.searchsorted(root, sizes).tolist()
+        return [
+            Crossings(
+                part.axis, across[a:b], place[a:b], width[a:b], before[:, a:b], after[:, a:b], phase[a:b], root[a:b] - sizes[k]
+            )
+            for k, (part, a, b) in enumerate(zip(self.parts, starts[:-1], starts[1:], strict=True))
+        ]
 
-def _whole(segments: Segments, root: Tensor, jump: Tensor) -> Tensor:
-    """Which segments (S,) change by what was found in them; the others also change smoothly, or in too many places: they stay as they are."""
-    change = segments.after - segments.before
-    rest = change.index_add(1, root, jump, alpha=-1).abs()
-    return (rest <= _MISSED * change.abs().amax(0)).all(0)
+    def _whole(self, root: Tensor, jump: Tensor) -> Tensor:
+        """Which segments (S,) change by what was found in them; the others also change smoothly, or in too many places: they stay as they are."""
+        change = self.after - self.before
+        rest = change.index_add(1, root, jump, alpha=-1).abs()
+        return (rest <= _MISSED * change.abs().amax(0)).all(0)

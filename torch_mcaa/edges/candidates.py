@@ -65,50 +65,41 @@ def threshold(change: Tensor) -> Tensor:
 def candidates(samples: Samples, axis: int) -> Segments:
     """Segments between neighbours on a line that differ by over three times the median of the four differences on either side.
 
-    A difference that rounding explains is none; where f was not asked the differences count as 0.
+    A difference that rounding explains is none.
     """
-    dim = -1 if axis == 0 else 1
-    values, asked = samples.values, samples.asked
-    size = values.shape[dim]
-    first, second = values.narrow(dim, 0, size - 1), values.narrow(dim, 1, size - 1)
-    along = 1 if axis == 0 else 0
-    both = asked.narrow(along, 0, size - 1) & asked.narrow(along, 1, size - 1)
-    difference = (second - first).abs_()
-    if not bool(both.all()):
-        difference.masked_fill_(~both[:, None], 0)
-    some = difference > _FAINT * (values.amax((1, 2, 3)) - values.amin((1, 2, 3)))[:, None, None, None]
-    if int(some.count_nonzero()) > _MANY * some.numel():
-        # two of four are below a third only if one of any three is
-        padded = torch.nn.functional.pad(difference, (3, 3) if axis == 0 else (0, 0, 0, 0, 3, 3))
-        for start in (0, 4):
-            least = torch.minimum(padded.narrow(dim, start, size - 1), padded.narrow(dim, start + 1, size - 1))
-            some &= difference > _TIMES * torch.minimum(least, padded.narrow(dim, start + 2, size - 1))
-    channel, row, line, col = some.nonzero().unbind(1)
-    near = (col if axis == 0 else row)[:, None] + torch.arange(-_AROUND, _AROUND + 1, device=values.device)
-    inside = (near >= 0) & (near < size - 1)
-    near = near.clamp(0, size - 2)
-    at = (row[:, None], line[:, None], near) if axis == 0 else (near, line[:, None], col[:, None])
-    window = difference[channel[:, None], *at].masked_fill(~inside, torch.nan)
+    differences = samples.differences(axis)
+    size, values = differences.size, samples.values.flatten(1)
+    low, high = torch.aminmax(values, dim=1) if values.shape[1] else (values.new_zeros(len(values)),) * 2
+    some = size > _FAINT * (high - low)[:, None]
+    many = int(some.count_nonzero()) > _MANY * some.numel()
+    if many:
+        some = differences.pruned(some, _TIMES)
+    channel, index = some.nonzero().unbind(1)
+    around = torch.arange(-_AROUND, _AROUND + 1, device=size.device)
+    near = differences.beside(index, around)
+    window = size[channel[:, None], near.clamp_min(0)].masked_fill(near < 0, torch.nan)
     # a side that lies beyond the samples says nothing
     sides = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
-    change = difference[channel, row, line, col]
-    largest = torch.maximum(first[channel, row, line, col].abs(), second[channel, row, line, col].abs())
+    change = size[channel, index]
+    largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
     chosen = change > torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(values.dtype).eps * largest)
-    channel, row, line, col = (index[chosen] for index in (channel, row, line, col))
-    _, lines, cols = difference.shape[1:]
-    flat, owner = torch.unique((row * lines + line) * cols + col, return_inverse=True)
-    marked = torch.zeros_like(difference)
-    marked[channel, row, line, col] = change[chosen]
-    # what lies beyond the samples may be the other end of a thin piece; the tail of a steep step is none
-    beside = torch.nn.functional.pad(
-        marked.masked_fill_(~both[:, None], torch.inf), (1, 1) if axis == 0 else (0, 0, 0, 0, 1, 1), value=torch.inf
+    # from here on what is no candidate counts as no difference
+    if many:
+        size.masked_fill_(~some, 0)
+    size[channel[~chosen], index[~chosen]] = 0
+    channel, index = channel[chosen], index[chosen]
+    flat, owner = (
+        torch.unique(index, return_inverse=True) if len(size) > 1 else (index, torch.arange(len(index), device=size.device))
     )
-    pairs = torch.maximum(beside.narrow(dim, 0, size - 1), beside.narrow(dim, 2, size - 1)) > _FOLLOWED * difference
-    single = (pairs & (marked > 0)).any(0).reshape(-1)[flat]
-    col, line, row = flat % cols, flat // cols % lines, flat // (cols * lines)
-    before, after = first[:, row, line, col], second[:, row, line, col]
+    before, after = differences.ends(flat)
     least = torch.full_like(before, torch.inf)
     least[channel, owner] = threshold(after - before)[channel, owner]
+    # what lies beyond the samples may be the other end of a thin piece; the tail of a steep step is none
+    near = differences.beside(flat, torch.tensor([-1, 1], device=size.device))
+    beside = size[:, near.clamp_min(0)].masked_fill(near < 0, torch.inf).amax(2)
+    own = size[:, flat]
+    single = ((own > 0) & (beside > _FOLLOWED * own)).any(0)
+    line, row, col = differences.place(flat)
     row, col = row + samples.row, col + samples.col
     x, y = samples.x[line] + col, samples.y[line] + row
     low, across = (x, y) if axis == 0 else (y, x)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.bisect import Crossings, ask_on
+from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
 
@@ -19,32 +20,63 @@ _FAR = 2.0**24
 
 
 def narrowed(ask: Ask, segments: Segments, known: Crossings, apart: float, seed: int) -> Segments:
+    """`narrowed_all` of segments along one axis."""
+    return narrowed_all(ask, [segments], [known], apart, seed)[0]
+
+
+def narrowed_all(ask: Ask, parts: Sequence[Segments], known: Sequence[Crossings], apart: float, seed: int) -> list[Segments]:
     """The segments, short brackets in the place of those in which one of `known` on a line either side foretells the only crossing.
 
     Two evaluations for each that is tried. `apart`: lines further than that, in px, foretell nothing.
     """
-    if len(known) == 0 or len(segments) == 0:
-        return segments
-    place, found = _foretold(segments, known, apart)
-    tried = (found & ~segments.single & (place > segments.low + 2 * _WITHIN) & (place < segments.high - 2 * _WITHIN)).nonzero()[
-        :, 0
+    tries = [_Try.of(segments, crossings, apart, seed) for segments, crossings in zip(parts, known, strict=True)]
+    places = [
+        placed(part.axis, torch.cat([t.low, t.high]), part.across[t.index].repeat(2)) for part, t in zip(parts, tries, strict=True)
     ]
-    if len(tried) == 0:
-        return segments
-    some, place = segments.take(tried), place[tried]
-    # no two brackets alike: the middles of the last ones must not err alike
-    shape = _WITHIN * (1 + 0.25 * rng.uniform(seed, _STREAM, some.axis, *some.key.unbind(1), dtype=torch.float64))
-    low, high = place - shape, place + _WITHIN
-    values = ask_on(ask, some.axis, torch.cat([low, high]), some.across.repeat(2))
-    before, after = values[:, : len(place)], values[:, len(place) :]
-    right = (((before - some.before).abs() <= some.least) & ((after - some.after).abs() <= some.least)).all(0)
-    tried, low, high, before, after = tried[right], low[right], high[right], before[:, right], after[:, right]
+    sizes = [2 * len(t.index) for t in tries]
+    if sum(sizes) == 0:
+        return list(parts)
+    values = ask(*(torch.cat(axis) for axis in zip(*places, strict=True))).split(sizes, 1)
+    return [_short(part, t, value) for part, t, value in zip(parts, tries, values, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Try:
+    """The segments at `index` may be short: from `low` to `high`."""
+
+    index: Tensor
+    low: Tensor
+    high: Tensor
+
+    @classmethod
+    def of(cls, segments: Segments, known: Crossings, apart: float, seed: int) -> _Try:
+        if len(known) == 0 or len(segments) == 0:
+            none = segments.low[:0]
+            return cls(none.long(), none, none)
+        place, found = _foretold(segments, known, apart)
+        inside = (place > segments.low + 2 * _WITHIN) & (place < segments.high - 2 * _WITHIN)
+        index = (found & ~segments.single & inside).nonzero()[:, 0]
+        place = place[index]
+        # no two brackets alike: the middles of the last ones must not err alike
+        key = segments.key[index].unbind(1)
+        shape = _WITHIN * (1 + 0.25 * rng.uniform(seed, _STREAM, segments.axis, *key, dtype=torch.float64))
+        return cls(index, place - shape, place + _WITHIN)
+
+
+def _short(segments: Segments, tried: _Try, values: Tensor) -> Segments:
+    """With short brackets where f has the segment's colours at both ends of them."""
+    index = tried.index
+    before, after = values.split(len(index), 1) if len(index) else (values, values)
+    least = segments.least[:, index]
+    right = ((before - segments.before[:, index]).abs() <= least) & ((after - segments.after[:, index]).abs() <= least)
+    right = right.all(0)
+    index, low, high, before, after = index[right], tried.low[right], tried.high[right], before[:, right], after[:, right]
     return replace(
         segments,
-        low=segments.low.index_copy(0, tried, low),
-        high=segments.high.index_copy(0, tried, high),
-        before=segments.before.index_copy(1, tried, before),
-        after=segments.after.index_copy(1, tried, after),
+        low=segments.low.index_copy(0, index, low),
+        high=segments.high.index_copy(0, index, high),
+        before=segments.before.index_copy(1, index, before),
+        after=segments.after.index_copy(1, index, after),
     )
 
 

@@ -6,6 +6,7 @@ ones; along either the samples are h = 1 px apart.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,14 +17,34 @@ Ask = Callable[[Tensor, Tensor], Tensor]
 """f at float64 screen columns and rows (N,): its values (C, N)."""
 
 
+class Differences(ABC):
+    """Absolute differences of neighbours on lines, `size` (C, M): each between a sample and the next on its line."""
+
+    size: Tensor
+
+    @abstractmethod
+    def place(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The line, and the row and column of pixels counted from the first, of the first sample of each (N,)."""
+
+    @abstractmethod
+    def ends(self, index: Tensor) -> tuple[Tensor, Tensor]:
+        """f (C, N) at both samples."""
+
+    @abstractmethod
+    def beside(self, index: Tensor, steps: Tensor) -> Tensor:
+        """(N, K): the difference so many `steps` (K,) on along the line of each; -1 where there is none."""
+
+    def pruned(self, some: Tensor, times: float) -> Tensor:
+        """Of `some` (C, M) those that may be over `times` the lower median of the four on either side; a quick test that lets others pass."""
+        return some
+
+
 @dataclass(frozen=True)
-class Samples:
-    """f at the points of a lattice in the pixels [row, row + R) x [col, col + Q).
+class Samples(ABC):
+    """f at the points of a lattice in pixels of [row, row + R) x [col, col + Q).
 
     Attributes:
         x, y: (n,) float64 offsets in [0, 1) of the points in every pixel.
-        values: (C, R, n, Q), 0 where not asked.
-        asked: bool (R, Q), the pixels in which f was evaluated.
         number: which of the lattices of a cell this is; random numbers hang on it.
     """
 
@@ -32,7 +53,6 @@ class Samples:
     row: int
     col: int
     values: Tensor
-    asked: Tensor
     number: int
 
     @property
@@ -40,14 +60,105 @@ class Samples:
         """Points, and lines along either axis, in a pixel."""
         return len(self.x)
 
+    @abstractmethod
+    def differences(self, axis: int) -> Differences:
+        """Between neighbours on the lines along `axis`."""
 
-def sample(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor, number: int) -> Samples:
+
+class Everywhere(Samples):
+    """`values` (C, R, n, Q) in all the pixels."""
+
+    def differences(self, axis: int) -> Differences:
+        return _Dense(self.values, axis)
+
+
+@dataclass(frozen=True)
+class Scattered(Samples):
+    """`values` (C, P, n) in some of the pixels, and `slot` (R, Q) int64, which of the P a pixel is, -1 for none."""
+
+    slot: Tensor
+
+    def differences(self, axis: int) -> Differences:
+        return _Sparse(self.values, self.slot, axis)
+
+
+class _Dense(Differences):
+    def __init__(self, values: Tensor, axis: int) -> None:
+        self.dim = 3 if axis == 0 else 1
+        self.values, self.last = values, values.shape[self.dim] - 1
+        self.whole = (values.narrow(self.dim, 1, self.last) - values.narrow(self.dim, 0, self.last)).abs_()
+        self.size = self.whole.flatten(1)
+
+    def pruned(self, some: Tensor, times: float) -> Tensor:
+        # two of four are below only if one of any three is
+        padded = torch.nn.functional.pad(self.whole, (3, 3) if self.dim == 3 else (0, 0, 0, 0, 3, 3))
+        kept = some.clone().view_as(self.whole)
+        for start in (0, 4):
+            least = torch.minimum(padded.narrow(self.dim, start, self.last), padded.narrow(self.dim, start + 1, self.last))
+            kept &= self.whole > times * torch.minimum(least, padded.narrow(self.dim, start + 2, self.last))
+        return kept.flatten(1)
+
+    def place(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        lines, cols = self.whole.shape[2:]
+        return index // cols % lines, index // (cols * lines), index % cols
+
+    def ends(self, index: Tensor) -> tuple[Tensor, Tensor]:
+        line, row, col = self.place(index)
+        along = self.dim == 3
+        return self.values[:, row, line, col], self.values[:, row + (not along), line, col + along]
+
+    def beside(self, index: Tensor, steps: Tensor) -> Tensor:
+        lines, cols = self.whole.shape[2:]
+        along, stride = (index % cols, 1) if self.dim == 3 else (index // (cols * lines), cols * lines)
+        near = along[:, None] + steps
+        return torch.where((near >= 0) & (near < self.last), index[:, None] + stride * steps, -1)
+
+
+class _Sparse(Differences):
+    def __init__(self, values: Tensor, slot: Tensor, axis: int) -> None:
+        self.values, self.axis, self.lines = values, axis, values.shape[2]
+        first, second = (slot[:, :-1], slot[:, 1:]) if axis == 0 else (slot[:-1], slot[1:])
+        both = (first >= 0) & (second >= 0)
+        self.row, self.col = both.nonzero().unbind(1)
+        self.first, self.second = first[both], second[both]
+        # one more pixel all around, in which there is none
+        self.known = torch.full((slot.shape[0] + 2, slot.shape[1] + 2), -1, dtype=torch.int64, device=slot.device)
+        self.known[self.row + 1, self.col + 1] = torch.arange(len(self.row), device=slot.device)
+        self.size = (values[:, self.second] - values[:, self.first]).abs_().flatten(1)
+
+    def place(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        pair = index // self.lines
+        return index % self.lines, self.row[pair], self.col[pair]
+
+    def ends(self, index: Tensor) -> tuple[Tensor, Tensor]:
+        pair, line = index // self.lines, index % self.lines
+        return self.values[:, self.first[pair], line], self.values[:, self.second[pair], line]
+
+    def beside(self, index: Tensor, steps: Tensor) -> Tensor:
+        line, row, col = self.place(index)
+        height, width = self.known.shape
+        down, right = (0 * steps, steps) if self.axis == 0 else (steps, 0 * steps)
+        near_row, near_col = (row[:, None] + down + 1).clamp(0, height - 1), (col[:, None] + right + 1).clamp(0, width - 1)
+        pair = self.known[near_row, near_col]
+        return torch.where(pair >= 0, pair * self.lines + line[:, None], -1)
+
+
+def sample(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, height: int, width: int, number: int) -> Everywhere:
+    """Evaluate f at the offsets x, y (n,) in the pixels [row, row + height) x [col, col + width)."""
+    rows = torch.arange(row, row + height, device=x.device)[:, None, None]
+    cols = torch.arange(col, col + width, device=x.device)
+    shape = height, len(x), width
+    places = ((cols + x[:, None]).expand(shape).flatten(), (rows + y[:, None]).expand(shape).flatten())
+    return Everywhere(x, y, row, col, ask(*places).unflatten(1, shape), number)
+
+
+def scattered(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor, number: int) -> Scattered:
     """Evaluate f at the offsets x, y (n,) in the pixels of `asked`, bool (R, Q), the first of which is (row, col)."""
     at_row, at_col = asked.nonzero().unbind(1)
-    found = ask((at_col + col)[:, None].add(x).flatten(), (at_row + row)[:, None].add(y).flatten()).unflatten(1, (-1, len(x)))
-    values = found.new_zeros(len(found), asked.shape[0], len(x), asked.shape[1])
-    values[:, at_row, :, at_col] = found.transpose(0, 1)
-    return Samples(x, y, row, col, values, asked, number)
+    values = ask((at_col + col)[:, None].add(x).flatten(), (at_row + row)[:, None].add(y).flatten()).unflatten(1, (-1, len(x)))
+    slot = torch.full(asked.shape, -1, dtype=torch.int64, device=x.device)
+    slot[at_row, at_col] = torch.arange(len(at_row), device=x.device)
+    return Scattered(x, y, row, col, values, number, slot)
 
 
 def taps(profile: Callable[[Tensor], Tensor], places: Tensor, reach: int) -> Tensor:
@@ -61,17 +172,20 @@ def norm(samples: Samples, profile: Callable[[Tensor], Tensor], reach: int) -> f
     return float((wx * wy).sum())
 
 
-def weighed(samples: Samples, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
+def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
     """(C, N) float64: the samples' weighted means about the centres of the pixels (rows, cols), counted on the screen.
 
-    profile: the filter along either axis; it is 0 more than `reach` pixels off.
+    profile: the filter along either axis; it is 0 more than `reach` pixels off, where all pixels were asked.
     """
     wx, wy = (taps(profile, place, reach) for place in (samples.x, samples.y))
     offsets = torch.arange(-reach, reach + 1, device=rows.device)
     columns = (cols - samples.col)[:, None] + offsets
     total = torch.zeros(len(samples.values), len(rows), dtype=torch.float64, device=rows.device)
+    weight = (wy.T[:, None] * wx.T).flatten(1)
     for k, offset in enumerate(offsets.tolist()):
-        # the samples of one row of pixels, (N, taps, C, n)
-        near = samples.values[:, (rows - samples.row + offset)[:, None], :, columns].to(torch.float64)
-        total += torch.einsum("tkcj,jk,j->ct", near, wx, wy[:, k])
+        # the samples of one row of pixels
+        near = samples.slot[(rows - samples.row + offset)[:, None], columns]
+        for channel, values in enumerate(samples.values):
+            # no product of matrices: its last bits may depend on the number of threads
+            total[channel] += (values[near].flatten(1) * weight[k]).sum(1)
     return total / norm(samples, profile, reach)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.bisect import Crossings, ask_on, bisect
+from torch_mcaa.edges.bisect import Crossings, bisect_all, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
 
@@ -37,11 +37,13 @@ class Judged:
 
     Attributes:
         verdict: int64 `Verdict`.
+        tried: int64, how many candidates were looked at.
         crossings: for each axis, the candidates, but for those of thin pieces.
         lines: lines that cross thin pieces, as far as the pieces that samples hit tell: those hits over their probability.
     """
 
     verdict: Tensor
+    tried: Tensor
     crossings: tuple[Tensor, Tensor]
     lines: Tensor
 
@@ -56,45 +58,76 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
         part: for each axis the part (S,) of its segments.
     """
     tried, jumped, wrong = (torch.zeros(parts, dtype=torch.int64, device=part[0].device) for _ in range(3))
-    crossed, lines = [], torch.zeros(parts, dtype=torch.float64, device=part[0].device)
-    for segments, where in zip(found, part, strict=True):
-        crossed.append(torch.bincount(where[~segments.single], minlength=parts))
-        if len(segments) == 0:
-            continue
+    crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
+    lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
+    looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
+    if any(len(look.where) for look in looks):
+        bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
+        x, y = zip(*(placed(look.some.axis, look.place, look.some.across) for look in looks), strict=True)
+        values = ask(torch.cat(x), torch.cat(y)).split([len(look.where) for look in looks], 1)
+        for look, crossings, value in zip(looks, bisected, values, strict=True):
+            where, has = look.where, look.jumped(crossings, parts)
+            lines += look.lines(crossings, parts)
+            for total, seen in ((tried, where), (jumped, where[has]), (wrong, where[has & look.mistold(crossings, value)])):
+                total += torch.bincount(seen, minlength=parts)
+    verdict = torch.full_like(tried, Verdict.JUMPS)
+    verdict[wrong > _MISPREDICTED * jumped] = Verdict.NOISE
+    verdict[jumped < _FEW * tried] = Verdict.CONTINUOUS
+    verdict[tried == 0] = Verdict.NONE
+    return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """Some segments along one axis, the part each lies `where` and a random place in it; `hits` (parts,), how many thin pieces samples hit."""
+
+    some: Segments
+    where: Tensor
+    place: Tensor
+    hits: Tensor
+
+    @classmethod
+    def at(cls, segments: Segments, where: Tensor, parts: int, most: int, seed: int) -> _Look:
+        """At most so many of each part, at random."""
         hits = torch.bincount(where[segments.single], minlength=parts).to(torch.float64) / 2
         order = torch.argsort(rng.bits(seed, _PILOT, segments.axis, *segments.key.unbind(1)))
         order = order[torch.argsort(where[order], stable=True)]
         counts = torch.bincount(where, minlength=parts)
         rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[where[order]]
-        chosen = order[rank < most // 2]
-        some, where = segments.take(chosen), where[chosen]
-        size = len(some)
-        crossings = bisect(ask, some, _FINEST, seed)
-        steep = crossings.jump.abs().amax(0) > 0.5 * (some.after - some.before).abs().amax(0)[crossings.segment]
-        has = torch.zeros(size, dtype=torch.bool, device=order.device)
-        has[crossings.segment[steep]] = True
-        has |= _steep(some, crossings, where, parts)
-        # a sample in a thin piece lies half its width from either end, on average
-        end = torch.minimum(crossings.place - some.low[crossings.segment], some.high[crossings.segment] - crossings.place)
-        thin = steep & some.single[crossings.segment]
-        known = torch.bincount(where[crossings.segment[thin]], minlength=parts)
-        total = torch.bincount(where[crossings.segment[thin]], weights=end[thin], minlength=parts)
-        lines += hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1)
-        place = some.low + rng.uniform(seed, _PILOT, segments.axis, *some.key.unbind(1), 1, dtype=torch.float64) * (
-            some.high - some.low
-        )
-        value = ask_on(ask, segments.axis, place, some.across)
-        told = some.before.clone()
-        passed = crossings.place < place[crossings.segment]
+        chosen = order[rank < most]
+        some = segments.take(chosen)
+        along = rng.uniform(seed, _PILOT, some.axis, *some.key.unbind(1), 1, dtype=torch.float64)
+        return cls(some, where[chosen], some.low + along * (some.high - some.low), hits)
+
+    @property
+    def size(self) -> Tensor:
+        """By how much f changes over each segment."""
+        return (self.some.after - self.some.before).abs().amax(0)
+
+    def jumped(self, crossings: Crossings, parts: int) -> Tensor:
+        """Which segments hold a jump of over half their change, or a step that is treated as some."""
+        has = torch.zeros(len(self.where), dtype=torch.bool, device=self.where.device)
+        has[crossings.segment[self._steep(crossings)]] = True
+        return has | _steep(self.some, crossings, self.where, parts)
+
+    def _steep(self, crossings: Crossings) -> Tensor:
+        return crossings.jump.abs().amax(0) > 0.5 * self.size[crossings.segment]
+
+    def lines(self, crossings: Crossings, parts: int) -> Tensor:
+        """(parts,) the lines across thin pieces: a sample in one lies half its width from either end, on average."""
+        low, high = self.some.low[crossings.segment], self.some.high[crossings.segment]
+        end = torch.minimum(crossings.place - low, high - crossings.place)
+        thin = self._steep(crossings) & self.some.single[crossings.segment]
+        where = self.where[crossings.segment[thin]]
+        known, total = torch.bincount(where, minlength=parts), torch.bincount(where, weights=end[thin], minlength=parts)
+        return self.hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1)
+
+    def mistold(self, crossings: Crossings, value: Tensor) -> Tensor:
+        """Where f at the random place is not what the jumps before it tell."""
+        told = self.some.before.clone()
+        passed = crossings.place < self.place[crossings.segment]
         told.index_add_(1, crossings.segment[passed], crossings.jump[:, passed])
-        off = (value - told).abs().amax(0) > 0.35 * (some.after - some.before).abs().amax(0)
-        for total, seen in ((tried, None), (jumped, has), (wrong, off & has)):
-            total += torch.bincount(where if seen is None else where[seen], minlength=parts)
-    verdict = torch.full_like(tried, Verdict.JUMPS)
-    verdict[wrong > _MISPREDICTED * jumped] = Verdict.NOISE
-    verdict[jumped < _FEW * tried] = Verdict.CONTINUOUS
-    verdict[tried == 0] = Verdict.NONE
-    return Judged(verdict, (crossed[0], crossed[1]), lines)
+        return (value - told).abs().amax(0) > 0.35 * self.size
 
 
 def _steep(segments: Segments, crossings: Crossings, where: Tensor, parts: int) -> Tensor:

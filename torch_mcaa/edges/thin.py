@@ -69,6 +69,11 @@ def complete(
     return work.with_found(crossings.take(_without(len(crossings), ends[drop])))
 
 
+def thin_pieces(crossings: Crossings, samples: Samples) -> bool:
+    """Whether there is a piece that samples may miss."""
+    return bool((pieces_of(crossings, Numbered(samples, crossings.axis))[0].width < SHORT).any())
+
+
 def unfollowed(crossings: Crossings, samples: Samples) -> tuple[Crossings, float]:
     """The crossings without those of the thin pieces that samples have hit, which are then sampled, and what following them would take."""
     grid = Numbered(samples, crossings.axis)

@@ -12,11 +12,11 @@ from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import sample
-from torch_mcaa.edges.pilot import Judged, judge
+from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
-from torch_mcaa.estimators.counted import Counted, Spent, is_random, on_screen
-from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, blocks_of
+from torch_mcaa.estimators.counted import Counted, Spent, is_random
+from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, blocks_in, blocks_of
 from torch_mcaa.estimators.parts import MODELS, Part, Parts
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
@@ -24,6 +24,8 @@ from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 
 _PILOT = 0x9110
+_SURE = 12
+"""Candidates from which on a block that was found to jump is not judged again."""
 _RING = 2
 """Pixels around a cell that the pilot has samples in."""
 _FEWEST = 5
@@ -120,6 +122,7 @@ class AutoRound(Round):
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
         plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second)
+        jumping = (judged.verdict == Verdict.JUMPS) & (judged.tried >= _SURE)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
@@ -129,7 +132,7 @@ class AutoRound(Round):
             budget = int(
                 plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
             )
-            part = self.parts.located(plan.cell, plan.lines, budget, plan.steps)
+            part = self.parts.located(plan.cell, plan.lines, budget, plan.steps, jumping[blocks_in(cell, plan.cell)])
             done.append((plan.cell, part))
             left, expected = left - part.spent, expected - plan.cost
         # half in equal shares, half by Neyman's allocation, the spread of neighbouring samples in the place of the standard deviation
@@ -146,14 +149,16 @@ class AutoRound(Round):
         """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples."""
         parts = self.parts
         x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64).to(self.task.device) for axis in (0, 1))
-        row, col = cell.row - _RING, cell.col - _RING
-        asked = on_screen(self.task, row, col, (cell.height + 2 * _RING, cell.width + 2 * _RING))
-        samples = sample(ask, x[None], y[None], row, col, asked, 0)
+        row, col, bottom, right = cell.row - _RING, cell.col - _RING, cell.row + cell.height + _RING, cell.col + cell.width + _RING
+        if self.task.boundary != "extend":
+            row, col = max(row, 0), max(col, 0)
+            bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
+        samples = sample(ask, x[None], y[None], row, col, bottom - row, right - col, 0)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
         blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
-        values = samples.values[:, _RING:-_RING, 0, _RING:-_RING]
+        values = samples.values[:, cell.row - row :, 0, cell.col - col :][:, : cell.height, : cell.width]
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
         steps = [
             torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)

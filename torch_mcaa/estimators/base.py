@@ -181,3 +181,16 @@ def dilated(mask: Tensor, by: int) -> Tensor:
             wide.narrow(dim, 0, size - step).logical_or_(mask.narrow(dim, step, size - step))
         mask = wide
     return mask
+
+
+def greatest(plane: Tensor, reach: int) -> Tensor:
+    """(h, w): the largest of each pixel's neighbours at most `reach` >= 1 rows and columns off, of a plane (h, w) >= 0."""
+    plane = torch.nn.functional.pad(plane, (reach,) * 4)
+    for dim in (0, 1):
+        wide = 1
+        while wide < 2 * reach + 1:
+            step = min(wide, 2 * reach + 1 - wide)
+            size = plane.shape[dim] - step
+            plane = torch.maximum(plane.narrow(dim, 0, size), plane.narrow(dim, step, size))
+            wide += step
+    return plane

@@ -34,14 +34,15 @@ class Counted:
 
     Attributes:
         left: how many evaluations are left, `kept` of which are not for now.
-        points: (h, w) int64, the evaluations so far in each pixel of the cell.
         invalid: (h, w) int64, how many of them were not finite; those count as 0.
     """
 
     def __init__(self, task: Task, cell: Cell, budget: int, precision: Precision) -> None:
         self.task, self.cell, self.precision = task, cell, precision
         self.left, self.kept = budget, 0
-        self.points, self.invalid = (torch.zeros(cell.height, cell.width, dtype=torch.int64, device=task.device) for _ in range(2))
+        self._points, self.invalid = (torch.zeros(cell.height, cell.width, dtype=torch.int64, device=task.device) for _ in range(2))
+        self._places: list[tuple[Tensor, Tensor]] = []
+        self._held = 0
 
     @contextmanager
     def keeping(self, share: float) -> Iterator[None]:
@@ -52,31 +53,52 @@ class Counted:
         finally:
             self.kept = 0
 
+    @property
+    def points(self) -> Tensor:
+        """(h, w) int64, the evaluations so far in each pixel of the cell."""
+        self._counted()
+        return self._points
+
     def __call__(self, col: Tensor, row: Tensor) -> Tensor:
         """Raises Spent rather than ask more than the budget."""
         task, cell = self.task, self.cell
-        i, j = row.floor().to(torch.int64) - cell.row, col.floor().to(torch.int64) - cell.col
-        inside = (i >= 0) & (i < cell.height) & (j >= 0) & (j < cell.width)
-        flat = (i * cell.width + j)[inside]
-        if len(flat) > self.left - self.kept:
+        inside = (row >= cell.row) & (row < cell.row + cell.height) & (col >= cell.col) & (col < cell.col + cell.width)
+        count = int(inside.count_nonzero())
+        if count > self.left - self.kept:
             raise Spent
-        self.left -= len(flat)
-        # in place: a place takes far less time than a plane
-        self.points.view(-1).index_add_(0, flat, torch.ones_like(flat))
+        self.left -= count
+        # counted later: of few places a call is dearer than they are
+        self._places.append((col, row))
+        self._held += len(col)
+        if self._held > BLOCK:
+            self._counted()
+        x, y = col, row
         if task.boundary != "extend":
             # no pixel that is corrected reaches beyond the screen, so what is told there does not matter
-            col, row = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
-        parts = []
-        for c, r in zip(col.split(BLOCK), row.split(BLOCK), strict=True):
-            parts.append(torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r))))
-        values = torch.cat(parts, 1)
+            x, y = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
+        parts = [
+            torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r)))
+            for c, r in zip(x.split(BLOCK), y.split(BLOCK), strict=True)
+        ]
+        values = parts[0] if len(parts) == 1 else torch.cat(parts, 1)
         if task.integrand.nonfinite != "raise":
             bad = ~values.isfinite().all(0)
             if bool(bad.any()):
-                flat = (i * cell.width + j)[inside & bad]
-                self.invalid.view(-1).index_add_(0, flat, torch.ones_like(flat))
+                self._count(self.invalid, col[bad], row[bad])
                 values = values.masked_fill(bad, 0)
         return values
+
+    def _counted(self) -> None:
+        if self._places:
+            self._count(self._points, *(torch.cat(axis) for axis in zip(*self._places, strict=True)))
+        self._places, self._held = [], 0
+
+    def _count(self, plane: Tensor, col: Tensor, row: Tensor) -> None:
+        """Add one to the plane at each place in the cell, in place: a place takes far less time than a plane."""
+        cell = self.cell
+        i, j = row.floor().to(torch.int64) - cell.row, col.floor().to(torch.int64) - cell.col
+        flat = (i * cell.width + j)[(i >= 0) & (i < cell.height) & (j >= 0) & (j < cell.width)]
+        plane.view(-1).index_add_(0, flat, torch.ones_like(flat))
 
     def _asked(self, x: Tensor, y: Tensor) -> list[Tensor]:
         """f at float64 coordinates; an f that takes the picture's dtype alone, such as a network, gets that from then on."""
@@ -94,7 +116,7 @@ class Counted:
 
 def is_random(ask: Counted, seed: int) -> bool:
     """Whether f answers differently when it is asked twice, at 16 random places of the cell; noted in the integrand."""
-    cell, index = ask.cell, torch.arange(_TWICE, device=ask.points.device)
+    cell, index = ask.cell, torch.arange(_TWICE, device=ask.invalid.device)
     col, row = (rng.uniform(seed, _STREAM, cell.row, cell.col, axis, index, dtype=torch.float64) for axis in (0, 1))
     col, row = cell.col + col * cell.width, cell.row + row * cell.height
     try:

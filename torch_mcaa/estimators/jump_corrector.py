@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.bisect import Crossings, bisect, joined
+from torch_mcaa.edges.bisect import Crossings, bisect_all, joined
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
-from torch_mcaa.edges.foretell import narrowed
-from torch_mcaa.edges.lines import Samples, norm, sample, weighed
+from torch_mcaa.edges.foretell import narrowed_all
+from torch_mcaa.edges.lines import Samples, norm, scattered, weighed
 from torch_mcaa.edges.pilot import Verdict, judge
-from torch_mcaa.edges.thin import complete, unfollowed
-from torch_mcaa.estimators.base import box3, dilated
+from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
+from torch_mcaa.estimators.base import box3, dilated, greatest
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -87,6 +87,7 @@ class Corrector:
         plain: (C, h, w) their weighted means.
         allowed: bool (h, w), pixels that may be corrected.
         steps: how often a segment of 1 px is halved, at most.
+        jumping: bool (blocks,), those that are known to jump and are not judged again.
     """
 
     def __init__(
@@ -99,10 +100,11 @@ class Corrector:
         plain: Tensor,
         allowed: Tensor,
         steps: int,
+        jumping: Tensor,
     ) -> None:
         self.ask, self.cell, self.seed, self.base, self.plain = ask, cell, seed, base, plain.to(torch.float64)
         self.window = Window(cell.row, cell.col, cell.height, cell.width, filter, plain.device)
-        self.allowed = allowed
+        self.allowed, self.jumping = allowed, jumping
         self.blocks = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
         self.steps = self.most_steps = steps
         self.followed = True
@@ -113,11 +115,17 @@ class Corrector:
         found = [candidates(self.base, axis) for axis in (0, 1)]
         part = [blocks_of(self.cell, s) for s in found]
         nothing = Corrected(self.plain, None, none, none)
+        new = [~self.jumping[block] for block in part]
         try:
             with self.ask.keeping(KEPT):
-                verdict = judge(self.ask, found, part, self.blocks[0] * self.blocks[1], JUDGED, self.seed).verdict
+                judged = (
+                    [s.take(here) for s, here in zip(found, new, strict=True)],
+                    [b[here] for b, here in zip(part, new, strict=True)],
+                )
+                verdict = judge(self.ask, *judged, self.blocks[0] * self.blocks[1], JUDGED, self.seed).verdict
         except Spent:
             return nothing
+        verdict[self.jumping] = Verdict.JUMPS
         # an edge may reach into blocks without a candidate
         wanted = self.allowed & self._spread_out((verdict == Verdict.JUMPS) | (verdict == Verdict.NONE))
         if not bool((verdict == Verdict.JUMPS).any()):
@@ -182,15 +190,15 @@ class Corrector:
 
     def _planned(self, found: list[Segments], wanted: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """How exactly to bisect, and which blocks, so that two shifts can be paid for: share, open, and the pixels still wanted."""
-        share, open_ = self._axes(found)
+        share, open_, seen = self._axes(found)
         counts = torch.zeros(self.blocks[0] * self.blocks[1], dtype=torch.int64, device=wanted.device)
         reached = torch.zeros_like(wanted)
-        for segments, weight in zip(found, (share, 1 - share), strict=True):
-            taken = segments.take(self._reaching(segments, wanted & ((weight > 0) | open_)))
+        for segments, weight, density in zip(found, (share, 1 - share), seen, strict=True):
+            used = wanted & ((weight > 0) | open_)
+            taken = segments.take(self._reaching(segments, used))
             counts += torch.bincount(blocks_of(self.cell, taken), minlength=len(counts))
-            places = (taken.low + taken.high) / 2
-            reached |= self.window.density(taken.axis, places, taken.across, torch.ones_like(places)) > 0
-        rows, cols = (reached & wanted).nonzero().unbind(1)
+            reached |= used & (density > 0)
+        rows, cols = reached.nonzero().unbind(1)
         size = torch.bincount(rows // BLOCK * self.blocks[1] + cols // BLOCK, minlength=len(counts))
         cost = counts
         for self.steps in (s for s in STEPS if s <= self.most_steps):
@@ -202,19 +210,21 @@ class Corrector:
         kept[cheap] = cost[cheap].cumsum(0) <= self.ask.left
         return share, open_, wanted & self._spread_out(kept)
 
-    def _axes(self, found: list[Segments]) -> tuple[Tensor, Tensor]:
-        """The share (h, w) that crossings along x have in each pixel, and where it has to be left open, bool (h, w)."""
+    def _axes(self, found: list[Segments]) -> tuple[Tensor, Tensor, list[Tensor]]:
+        """The share (h, w) that crossings along x have in each pixel, where it has to be left open, bool (h, w), and what either axis sees."""
         seen = [
             self.window.density(s.axis, (s.low + s.high) / 2, s.across, (s.after - s.before).abs().amax(0).to(torch.float64))
             for s in found
         ]
-        share = _share(*seen)
+        share, open_ = _share(*seen), seen[0] + seen[1] == 0
         # how often samples hit a thin piece says little of its direction
-        thin = torch.zeros_like(share)
         for segments in found:
             single = segments.take(segments.single)
-            thin += self.window.density(single.axis, (single.low + single.high) / 2, single.across, torch.ones_like(single.low))
-        return share, (seen[0] + seen[1] == 0) | (thin > 0)
+            if len(single):
+                open_ |= (
+                    self.window.density(single.axis, (single.low + single.high) / 2, single.across, torch.ones_like(single.low)) > 0
+                )
+        return share, open_, seen
 
     def _shift(self, count: int, number: int, wanted: Tensor, known: Level | None = None) -> Level:
         """A shift of a lattice of `count`, asked as far as the pixels `wanted` (h, w) need it; the axes of `known` are taken over."""
@@ -225,15 +235,14 @@ class Corrector:
         asked = dilated(torch.nn.functional.pad(wanted, (halo,) * 4), max(1, halo - 1))
         row, col = window.row - halo, window.col - halo
         asked &= on_screen(self.ask.task, row, col, (asked.shape[0], asked.shape[1]))
-        samples = sample(self.ask, x, y, row, col, asked, number)
+        samples = scattered(self.ask, x, y, row, col, asked, number)
         rows, cols = wanted.nonzero().unbind(1)
         plain = torch.zeros_like(self.plain)
         plain[:, rows, cols] = weighed(samples, window.filter.profile, rows + window.row, cols + window.col, window.halo)
         found = [candidates(samples, axis) for axis in (0, 1)]
         if known is None:
-            return self._level(samples, plain, found, *self._axes(found), wanted)
-        none = torch.zeros_like(wanted)
-        return self._level(samples, plain, found, known.share, none, wanted, known.crossings)
+            return self._level(samples, plain, found, *self._axes(found)[:2], wanted)
+        return self._level(samples, plain, found, known.share, torch.zeros_like(wanted), wanted, known.crossings)
 
     def _level(
         self,
@@ -247,45 +256,43 @@ class Corrector:
     ) -> Level:
         """Correct one shift: bisect the candidates of the axis that each pixel takes, and add what they miss."""
         window, seed = self.window, self.seed + samples.number
-        reach = window.reach + 1
-        every, densities = [], []
-        for segments, weight in zip(found, (share, 1 - share), strict=True):
-            used = ((weight > 0) | open_) & wanted
-            segments = segments.take(self._reaching(segments, used))
-            crossings = self._bisected(segments, samples, None if known is None else known[segments.axis], seed)
-            wide = dilated(torch.nn.functional.pad(used, (reach,) * 4), reach)
-            origin = window.row - reach, window.col - reach
-            crossings = self._completed(crossings, samples, wide, origin, seed, _FIRST if known is None else 1.0)
-            every.append(crossings)
-            size = crossings.jump.abs().amax(0).to(torch.float64)
-            densities.append(window.density(crossings.axis, crossings.place, crossings.across, size))
+        used = [((weight > 0) | open_) & wanted for weight in (share, 1 - share)]
+        taken = [segments.take(self._reaching(segments, here)) for segments, here in zip(found, used, strict=True)]
+        first = _FIRST if known is None else 1.0
+        every = [
+            self._completed(crossings, samples, here, seed, first)
+            for crossings, here in zip(self._bisected(taken, samples, known, seed), used, strict=True)
+        ]
+        densities = [window.density(c.axis, c.place, c.across, c.jump.abs().amax(0).to(torch.float64)) for c in every]
         # now that all is known, the mixture where both axes were followed
         share = torch.where(((share > 0) & (share < 1)) | open_, _share(*densities), share)
         value, spread, scale = plain.clone(), torch.zeros_like(plain), norm(samples, window.filter.profile, window.halo)
+        mixed = bool(((share > 0) & (share < 1)).any())
         for crossings, weight in zip(every, (share, 1 - share), strict=True):
             correction, doubt = window.correction(crossings, scale)
-            if bool(((weight > 0) & (weight < 1)).any()):
+            if mixed:
                 correction += ends(window, every[1 - crossings.axis], samples)
             value += weight * correction
             spread += weight**2 * doubt
-        density = densities[0] * share + densities[1] * (1 - share)
-        side = 2 * window.reach + 1
-        peak = torch.nn.functional.max_pool2d(density[None], (side, 1), 1, (window.reach, 0))
-        peak = torch.nn.functional.max_pool2d(peak, (1, side), 1, (0, window.reach))[0]
+        density = torch.lerp(densities[1], densities[0], share)
         near = (density > 0) & wanted
+        core = near & (density > _CORE * greatest(density, window.reach))
         # where both axes have followed thin pieces and see them alike, one does for the next shift, the same all along a piece
         alike = open_ & (share > 0) & (share < 1)
         if bool((alike & near).any()):
             smooth = [torch.nn.functional.avg_pool2d(d[None], 9, 1, 4)[0] for d in densities]
             share = torch.where(alike, (_PREFERRED * smooth[0] >= smooth[1]).to(share), share)
-        return Level(value, spread, near, near & (density > _CORE * peak), every, share)
+        return Level(value, spread, near, core, every, share)
 
-    def _completed(
-        self, crossings: Crossings, samples: Samples, wide: Tensor, origin: tuple[int, int], seed: int, share: float
-    ) -> Crossings:
+    def _completed(self, crossings: Crossings, samples: Samples, used: Tensor, seed: int, share: float) -> Crossings:
         """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left."""
+        if not thin_pieces(crossings, samples):
+            return crossings
         without, cost = unfollowed(crossings, samples)
         if cost <= share * self.ask.left:
+            reach = self.window.reach + 1
+            wide = dilated(torch.nn.functional.pad(used, (reach,) * 4), reach)
+            origin = self.window.row - reach, self.window.col - reach
             try:
                 with self.ask.keeping(1 - share):
                     return complete(self.ask, crossings, samples, wide, origin, min(self._finest, _THIN), seed)
@@ -294,16 +301,19 @@ class Corrector:
         self.followed = self.followed and len(without) == len(crossings)
         return without
 
-    def _bisected(self, segments: Segments, samples: Samples, known: Crossings | None, seed: int) -> Crossings:
-        """The crossings of the segments; without any known, every second line foretells the others."""
+    def _bisected(self, segments: list[Segments], samples: Samples, known: list[Crossings] | None, seed: int) -> list[Crossings]:
+        """The crossings of the segments along either axis; without any known, every second line foretells the others."""
         apart = 2.5 / samples.count
         if known is not None:
-            return bisect(self.ask, narrowed(self.ask, segments, known, apart, seed), self._finest, seed)
-        rank = torch.argsort(torch.argsort(samples.y if segments.axis == 0 else samples.x))
-        odd = rank[segments.key[:, 0]] % 2 == 1
-        first = bisect(self.ask, segments.take(~odd), self._finest, seed)
-        rest = narrowed(self.ask, segments.take(odd), first, apart, seed)
-        return joined([first, bisect(self.ask, rest, self._finest, seed)])
+            return bisect_all(self.ask, narrowed_all(self.ask, segments, known, apart, seed), self._finest, seed)
+        odd = [
+            torch.argsort(torch.argsort(across))[s.key[:, 0]] % 2 == 1
+            for s, across in zip(segments, (samples.y, samples.x), strict=True)
+        ]
+        first = bisect_all(self.ask, [s.take(~o) for s, o in zip(segments, odd, strict=True)], self._finest, seed)
+        rest = narrowed_all(self.ask, [s.take(o) for s, o in zip(segments, odd, strict=True)], first, apart, seed)
+        second = bisect_all(self.ask, rest, self._finest, seed)
+        return [joined([a, b]) for a, b in zip(first, second, strict=True)]
 
     @property
     def _finest(self) -> float:
@@ -340,6 +350,13 @@ def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     row = (y.floor().long() - cell.row).clamp(0, cell.height - 1) // BLOCK
     col = (x.floor().long() - cell.col).clamp(0, cell.width - 1) // BLOCK
     return row * -(-cell.width // BLOCK) + col
+
+
+def blocks_in(cell: Cell, part: Cell) -> Tensor:
+    """The numbers of the blocks of a cell that are those of a part of it, which begins with a block."""
+    rows = torch.arange((part.row - cell.row) // BLOCK, -(-(part.row - cell.row + part.height) // BLOCK))
+    cols = torch.arange((part.col - cell.col) // BLOCK, -(-(part.col - cell.col + part.width) // BLOCK))
+    return (rows[:, None] * -(-cell.width // BLOCK) + cols).flatten()
 
 
 def _share(horizontal: Tensor, vertical: Tensor) -> Tensor:

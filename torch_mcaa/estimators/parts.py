@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import Samples
+from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.jump_corrector import BLOCK, Corrector, windows_of
@@ -108,10 +108,11 @@ class Parts:
         heavy = None if found.heavy is None else found.heavy[inner]
         return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp)
 
-    def located(self, cell: Cell, count: int, budget: int, steps: int) -> Part:
+    def located(self, cell: Cell, count: int, budget: int, steps: int, jumping: Tensor) -> Part:
         """A lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
 
         steps: how often a segment of 1 px is halved, at most.
+        jumping: bool (blocks,), those of the cell that are known to jump.
         """
         task = self.task
         assert isinstance(task.filter, SeparableFilter)
@@ -129,14 +130,13 @@ class Parts:
         heavy = None if found.heavy is None else found.heavy[inner]
         assert found.samples is not None
         x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
-        every = torch.ones(found.at.strips, found.at.cols, dtype=torch.bool, device=task.device)
-        base = Samples(x, y, found.at.strip, found.at.col, found.samples, every, 0)
+        base = Everywhere(x, y, found.at.strip, found.at.col, found.samples, 0)
         sampled = count + self.audited
         ask = self.ask(cell, budget - sampled * pixels)
         allowed = self._allowed(cell, found.invalid, inner) & (not self.random)
         if heavy is not None:
             allowed &= ~heavy.any(0)
-        result = Corrector(ask, cell, task.filter, self.seed, base, value, allowed, steps).run()
+        result = Corrector(ask, cell, task.filter, self.seed, base, value, allowed, steps, jumping).run()
         near = result.near
         if bool(ask.invalid.any()):
             near = near & ~dilated(ask.invalid > 0, Window.halo_of(task.filter))
