@@ -8,25 +8,25 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import SeparableFilter
 
 _AT_ONCE = 1 << 14
 
 
 class Window:
-    """The pixels (row, col) + [0, height) x [0, width) onto which crossings are scattered.
+    """Pixels onto which crossings are scattered.
 
     Attributes:
         reach: how many pixels off a place its own pixel's neighbours' filters may cover it.
-        halo: how many pixels beyond the window samples are needed.
+        halo: how many pixels beyond a pixel samples are needed.
+        margin: what the `Pixels` have to have.
     """
 
-    def __init__(self, row: int, col: int, height: int, width: int, filter: SeparableFilter, device: torch.device) -> None:
-        self.row, self.col, self.height, self.width, self.filter = row, col, height, width, filter
-        self.reach = math.ceil(filter.half_width + 0.5)
-        self.halo = self.halo_of(filter)
-        self.device = device
-        self._margin = 2 * self.reach + 3
+    def __init__(self, filter: SeparableFilter, device: torch.device) -> None:
+        self.filter, self.device = filter, device
+        self.reach, self.halo = math.ceil(filter.half_width + 0.5), self.halo_of(filter)
+        self.margin = 2 * self.reach + 3
         self.offsets = torch.arange(-self.reach, self.reach + 1, device=device)
 
     @staticmethod
@@ -34,14 +34,14 @@ class Window:
         """How many pixels around another a filter needs samples in, and their neighbours on the lines."""
         return math.ceil(filter.half_width - 0.5) + 1
 
-    def correction(self, crossings: Crossings, norm: float) -> tuple[Tensor, Tensor]:
-        """(C, height, width): the correction for lines with samples 1 px apart whose weights sum to `norm`, and its variance from the brackets.
+    def correction(self, pixels: Pixels, crossings: Crossings, norm: float) -> tuple[Tensor, Tensor]:
+        """(C, P): the correction for lines with samples 1 px apart whose weights sum to `norm`, and its variance from the brackets.
 
         A crossing at t on the line y with jump Δ adds Δ w(y - c_y) (D(t) - D_inf W(t)) / norm, where W(t) is the integral of w(x - c_x) over
         x > t, D(t) = W(t) less the samples' sum of the same, and D_inf = D(-inf). It is 0 beyond the filter's reach.
         """
-        total, spread = self.planes(len(crossings.before)), self.planes(len(crossings.before))
-        crossings = crossings.take(self.reaching(crossings.axis, crossings.place, crossings.across))
+        total, spread = self.zeros(pixels, len(crossings.before)), self.zeros(pixels, len(crossings.before))
+        crossings = crossings.take(self.reaching(pixels, crossings.axis, crossings.place, crossings.across))
         for start in range(0, len(crossings), _AT_ONCE):
             part = crossings.take(torch.arange(start, min(start + _AT_ONCE, len(crossings)), device=self.device))
             along, across = part.place, part.across
@@ -50,46 +50,35 @@ class Window:
             side = self.filter.profile(across[:, None] - beside - 0.5) / norm
             error = density * (part.width / math.sqrt(12))[:, None]
             if part.axis == 0:
-                index, weight, doubt = self.index(beside, near), outer(side, d), outer(side, error)
+                index, weight, doubt = pair(pixels, beside, near), outer(side, d), outer(side, error)
             else:
-                index, weight, doubt = self.index(near, beside), outer(d, side), outer(error, side)
+                index, weight, doubt = pair(pixels, near, beside), outer(d, side), outer(error, side)
             for channel, jump in enumerate(part.jump.to(torch.float64)):
-                total[channel].view(-1).index_add_(0, index, (jump[:, None, None] * weight).view(-1))
-                spread[channel].view(-1).index_add_(0, index, (jump[:, None, None] * doubt).square_().view(-1))
-        return self.inside(total), self.inside(spread)
+                total[channel].index_add_(0, index, (jump[:, None, None] * weight).view(-1))
+                spread[channel].index_add_(0, index, (jump[:, None, None] * doubt).square_().view(-1))
+        return total[:, :-1], spread[:, :-1]
 
-    def density(self, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
-        """(height, width): the sum of `size` times |w| at places on lines along `axis`: how much change they see."""
-        total = self.planes(1)
-        some = self.reaching(axis, along, across)
+    def density(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
+        """(P,): the sum of `size` times |w| at places on lines along `axis`: how much change they see."""
+        total = self.zeros(pixels, 1)[0]
+        some = self.reaching(pixels, axis, along, across)
         along, across, size = along[some], across[some], size[some]
         x, y = (along, across) if axis == 0 else (across, along)
         cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
         across_x, across_y = (self.filter.profile(place[:, None] - pixel - 0.5).abs() for place, pixel in ((x, cols), (y, rows)))
-        total.view(-1).index_add_(0, self.index(rows, cols), outer(across_y * size[:, None], across_x).view(-1))
-        return self.inside(total)[0]
+        total.index_add_(0, pair(pixels, rows, cols), outer(across_y * size[:, None], across_x).view(-1))
+        return total[:-1]
 
-    def reaching(self, axis: int, along: Tensor, across: Tensor) -> Tensor:
-        """The indices of places that may reach a pixel of the window."""
+    def reaching(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> Tensor:
+        """The indices of places that may reach a pixel of the rectangle."""
         x, y = (along, across) if axis == 0 else (across, along)
-        margin = self._margin - self.reach - 1
-        inside = (x > self.col - margin) & (x < self.col + self.width + margin)
-        return (inside & (y > self.row - margin) & (y < self.row + self.height + margin)).nonzero()[:, 0]
+        margin = self.margin - self.reach - 1
+        inside = (x > pixels.col - margin) & (x < pixels.col + pixels.width + margin)
+        return (inside & (y > pixels.row - margin) & (y < pixels.row + pixels.height + margin)).nonzero()[:, 0]
 
-    def planes(self, channels: int) -> Tensor:
-        """(channels, h, w) zeros of the window and a margin, into which crossings are scattered."""
-        shape = channels, self.height + 2 * self._margin, self.width + 2 * self._margin
-        return torch.zeros(shape, dtype=torch.float64, device=self.device)
-
-    def inside(self, planes: Tensor) -> Tensor:
-        """What lies in the window."""
-        return planes[:, self._margin : -self._margin, self._margin : -self._margin]
-
-    def index(self, rows: Tensor, cols: Tensor) -> Tensor:
-        """(N P P,) int64 the places in one of `planes` of the pixels (N, P) x (N, P)."""
-        wide = self.width + 2 * self._margin
-        rows, cols = rows - self.row + self._margin, cols - self.col + self._margin
-        return (rows[:, :, None] * wide + cols[:, None, :]).view(-1)
+    def zeros(self, pixels: Pixels, channels: int) -> Tensor:
+        """(channels, P + 1), the last for what lies in none of the pixels."""
+        return torch.zeros(channels, len(pixels) + 1, dtype=torch.float64, device=self.device)
 
     def _missed(self, t: Tensor, phase: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """(N, P): D - D_inf W at t for the pixels (N, P), and |w(t)|."""
@@ -101,6 +90,11 @@ class Window:
         past = (weight[:, None] * (distances[:, None] > offset[..., None])).sum(-1)
         beyond = 1 - self.filter.profile_cdf(offset)
         return beyond * weight.sum(-1, keepdim=True) - past, self.filter.profile(offset).abs()
+
+
+def pair(pixels: Pixels, rows: Tensor, cols: Tensor) -> Tensor:
+    """(N K K,) int64 where in the list the pixels (N, K) x (N, K) of the screen are."""
+    return pixels.index(rows[:, :, None], cols[:, None, :]).view(-1)
 
 
 def outer(a: Tensor, b: Tensor) -> Tensor:

@@ -12,19 +12,20 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
-from torch_mcaa.edges.correction import Window, outer
+from torch_mcaa.edges.correction import Window, outer, pair
 from torch_mcaa.edges.lines import Samples, norm
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
+from torch_mcaa.edges.pixels import Pixels
 
 _FLAT = 0.1
 """The slope below which an edge lies along lines. Steeper ones cross them often enough for L to be smooth."""
 
 
-def ends(window: Window, crossings: Crossings, samples: Samples) -> Tensor:
-    """(C, height, width): what sums over the lines along the one axis miss, from `crossings` on the lines along the other."""
-    total = window.planes(len(crossings.before))
+def ends(window: Window, pixels: Pixels, crossings: Crossings, samples: Samples) -> Tensor:
+    """(C, P): what sums over the lines along the one axis miss, from `crossings` on the lines along the other."""
+    total = window.zeros(pixels, len(crossings.before))
     part = crossings.take(_flat(crossings, samples))
-    part = part.take(window.reaching(part.axis, part.place, part.across))
+    part = part.take(window.reaching(pixels, part.axis, part.place, part.across))
     profile = window.filter.profile
     across = samples.y if crossings.axis == 1 else samples.x
     # the lines lie at the same distances from every pixel's centre
@@ -38,11 +39,11 @@ def ends(window: Window, crossings: Crossings, samples: Samples) -> Tensor:
     offset = part.place[:, None] - near - 0.5
     missed = (1 - window.filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
     side = profile(part.across[:, None] - beside - 0.5) / scale
-    index = window.index(near, beside) if crossings.axis == 1 else window.index(beside, near)
+    index = pair(pixels, near, beside) if crossings.axis == 1 else pair(pixels, beside, near)
     weights = outer(missed, side) if crossings.axis == 1 else outer(side, missed)
     for channel, jump in enumerate(part.jump.to(torch.float64)):
-        total[channel].view(-1).index_add_(0, index, (jump[:, None, None] * weights).view(-1))
-    return window.inside(total)
+        total[channel].index_add_(0, index, (jump[:, None, None] * weights).view(-1))
+    return total[:, :-1]
 
 
 def _flat(crossings: Crossings, samples: Samples) -> Tensor:

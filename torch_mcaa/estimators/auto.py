@@ -15,8 +15,9 @@ from torch_mcaa.edges.lines import sample
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
-from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, blocks_in, blocks_of
+from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import MODELS, Part, Parts
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared

@@ -174,23 +174,12 @@ def box3(plane: Tensor) -> Tensor:
 
 def dilated(mask: Tensor, by: int) -> Tensor:
     """The pixels at most `by` rows and columns from one of the mask, bool (h, w)."""
-    for dim in (0, 1):
-        wide, size = mask.clone(), mask.shape[dim]
-        for step in range(1, min(by, size - 1) + 1):
-            wide.narrow(dim, step, size - step).logical_or_(mask.narrow(dim, 0, size - step))
-            wide.narrow(dim, 0, size - step).logical_or_(mask.narrow(dim, step, size - step))
-        mask = wide
-    return mask
-
-
-def greatest(plane: Tensor, reach: int) -> Tensor:
-    """(h, w): the largest of each pixel's neighbours at most `reach` >= 1 rows and columns off, of a plane (h, w) >= 0."""
-    plane = torch.nn.functional.pad(plane, (reach,) * 4)
+    mask = torch.nn.functional.pad(mask, (by,) * 4)
     for dim in (0, 1):
         wide = 1
-        while wide < 2 * reach + 1:
-            step = min(wide, 2 * reach + 1 - wide)
-            size = plane.shape[dim] - step
-            plane = torch.maximum(plane.narrow(dim, 0, size), plane.narrow(dim, step, size))
+        while wide < 2 * by + 1:
+            step = min(wide, 2 * by + 1 - wide)
+            size = mask.shape[dim] - step
+            mask = mask.narrow(dim, 0, size) | mask.narrow(dim, step, size)
             wide += step
-    return plane
+    return mask

@@ -13,8 +13,9 @@ from torch_mcaa import rng
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
+from torch_mcaa.estimators.blocks import BLOCK, windows_of
 from torch_mcaa.estimators.counted import Counted, Precision
-from torch_mcaa.estimators.jump_corrector import BLOCK, Corrector, windows_of
+from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.shared_lattice import LatticeRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -137,13 +138,18 @@ class Parts:
         if heavy is not None:
             allowed &= ~heavy.any(0)
         result = Corrector(ask, cell, task.filter, self.seed, base, value, allowed, steps, jumping).run()
-        near = result.near
-        if bool(ask.invalid.any()):
-            near = near & ~dilated(ask.invalid > 0, Window.halo_of(task.filter))
-        value = torch.where(near, result.value.to(task.dtype), value)
-        if result.variance is not None:
-            variance = torch.where(near, result.variance.to(task.dtype), variance)
-        model = torch.where(near, torch.where(result.fine, FINER, LOCATED), PLAIN)
+        model = torch.full((cell.height, cell.width), PLAIN, dtype=torch.uint8, device=task.device)
+        near = torch.zeros_like(model, dtype=torch.bool)
+        if result is not None:
+            rows, cols, kept = result.pixels.rows, result.pixels.cols, slice(None)
+            if bool(ask.invalid.any()):
+                kept = ~dilated(ask.invalid > 0, Window.halo_of(task.filter))[rows, cols]
+            at = rows[kept], cols[kept]
+            near[at] = True
+            value[:, *at] = result.value[:, kept].to(task.dtype)
+            if result.variance is not None:
+                variance[:, *at] = result.variance[:, kept].to(task.dtype)
+            model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
         part = Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count)
         return self._sampled_further(cell, part, near, ask.left)
 
@@ -186,7 +192,8 @@ class Parts:
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
         known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
         poor = (variance.sqrt() > known).any(0) & ~near
-        blocks = [window for window in windows_of(cell) if bool(poor[window].any())]
+        some = torch.nn.functional.max_pool2d(poor[None].to(torch.float32), BLOCK, BLOCK, ceil_mode=True)[0].flatten().tolist()
+        blocks = [window for window, any_ in zip(windows_of(cell), some, strict=True) if any_]
         rest = left // max(1, sum(poor[window].numel() for window in blocks))
         if not blocks or rest < 1:
             return part

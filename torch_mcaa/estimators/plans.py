@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
-from torch_mcaa.estimators.jump_corrector import BLOCK, STEPS, windows_of
+from torch_mcaa.estimators.blocks import BLOCK, windows_of
+from torch_mcaa.estimators.jump_corrector import STEPS
 from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
 
