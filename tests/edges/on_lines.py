@@ -10,7 +10,11 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.candidates import Segments
-from torch_mcaa.edges.lines import Everywhere, Samples, Scattered, sample
+from torch_mcaa.edges.correction import Window
+from torch_mcaa.edges.ends import ends
+from torch_mcaa.edges.lines import Everywhere, Samples, Scattered
+from torch_mcaa.edges.pixels import Pixels
+from torch_mcaa.filters import SeparableFilter
 
 FINEST = 1.1 * 2.0**-14
 """Px: 14 halvings, the most that the estimators ask for."""
@@ -50,7 +54,10 @@ def sampled(
     strip = mcaa.Lattice().strip(lines, number, False, shift, lines=True)
     x, y = torch.from_numpy(strip.x), torch.from_numpy(strip.y)
     ask = f if isinstance(f, Ask) else Ask(f)
-    return sample(ask, x, y, row, col, rows, cols, number)
+    shape = rows, lines, cols
+    at_row, at_col = torch.arange(row, row + rows)[:, None, None], torch.arange(col, col + cols)
+    places = (x[:, None] + at_col).expand(shape).flatten(), (y[:, None] + at_row).expand(shape).flatten()
+    return Everywhere(x, y, row, col, ask(*places).unflatten(1, shape), number)
 
 
 def scatter(samples: Everywhere, asked: Tensor | None = None) -> Scattered:
@@ -109,3 +116,22 @@ def all_lines(samples: Everywhere, axis: int) -> Tensor:
         (samples.y, samples.row, samples.values.shape[1]) if axis == 0 else (samples.x, samples.col, samples.values.shape[3])
     )
     return torch.sort((torch.arange(first, first + count)[:, None] + lines).flatten()).values
+
+
+class View:
+    """All the pixels of a rectangle, and what is scattered onto them as planes."""
+
+    def __init__(self, row: int, col: int, height: int, width: int, filter: SeparableFilter) -> None:
+        self.window, self.shape = Window(filter, torch.device("cpu")), (height, width)
+        self.pixels = Pixels(row, col, torch.ones(height, width, dtype=torch.bool), self.window.margin)
+
+    def correction(self, some: Crossings, norm: float) -> tuple[Tensor, Tensor]:
+        """(C, h, w): the correction and its variance."""
+        total, spread, _ = self.window.correction(self.pixels, some, norm)
+        return total.unflatten(1, self.shape), spread.unflatten(1, self.shape)
+
+    def density(self, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
+        return self.window.density(self.pixels, axis, along, across, size).view(self.shape)
+
+    def ends(self, some: Crossings, samples: Samples) -> Tensor:
+        return ends(self.window, self.pixels, some, samples).unflatten(1, self.shape)

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from on_lines import all_lines, crossings, sampled, scatter, step
+from on_lines import View, all_lines, crossings, sampled, scatter, step
 from torch import Tensor
 
 import torch_mcaa as mcaa
@@ -31,8 +31,8 @@ EXACT = 1e-12
 ROW, COL, SIZE, AROUND = -9, 13, 6, 7
 
 
-def window(filter: SeparableFilter) -> Window:
-    return Window(ROW, COL, SIZE, SIZE, filter, CPU)
+def window(filter: SeparableFilter) -> View:
+    return View(ROW, COL, SIZE, SIZE, filter)
 
 
 def lattice(t: float, axis: int, lines: int, jumps: Tensor) -> Everywhere:
@@ -161,7 +161,7 @@ def test_nothing_beyond_the_filters_reach(filter: SeparableFilter) -> None:
     """Along the line a pixel is corrected within `half_width`, or where samples within it lie beyond; across it within `half_width`."""
     samples = lattice(0.0, 0, 5, torch.ones(1, 1, dtype=torch.float64))
     line = all_lines(samples, 0)
-    view = Window(ROW - 2, COL - 2, SIZE + 4, SIZE + 4, filter, CPU)
+    view = View(ROW - 2, COL - 2, SIZE + 4, SIZE + 4, filter)
     place = COL + 2.4321
     one = crossings(0, line[33:34], torch.tensor([place], dtype=torch.float64), torch.ones(1, 1, dtype=torch.float64), samples)
     found, _ = view.correction(one, 5)
@@ -226,5 +226,5 @@ def test_density_is_the_change_seen_through_the_filter() -> None:
 )
 def test_halo_and_reach(filter: SeparableFilter, halo: int, reach: int) -> None:
     """A filter of half-width r covers pixels up to r - 1/2 beyond its own, and a place up to r + 1/2 from a pixel's corner."""
-    assert (Window.halo_of(filter), window(filter).reach) == (halo, reach)
+    assert (Window.halo_of(filter), window(filter).window.reach) == (halo, reach)
     assert math.ceil(filter.half_width - 0.5) + 1 == halo

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from on_lines import all_lines, crossings, sampled, scatter, step
+from on_lines import View, all_lines, crossings, sampled, scatter, step
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.edges.bisect import Crossings, joined
-from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.lines import Everywhere, weighed
 from torch_mcaa.filters import SeparableFilter
 
@@ -46,11 +44,11 @@ def truth(filter: SeparableFilter) -> Tensor:
 def errors(filter: SeparableFilter, lines: int, axis: int) -> tuple[Tensor, Tensor]:
     """What remains of the error with one axis' crossings, without and with the ends of the edges along its lines."""
     samples = sampled(rectangle, lines, SIZE, SIZE)
-    view = Window(3, 3, SIZE - 6, SIZE - 6, filter, torch.device("cpu"))
+    view = View(3, 3, SIZE - 6, SIZE - 6, filter)
     rows, cols = (index.flatten() + 3 for index in torch.meshgrid(*(torch.arange(SIZE - 6),) * 2, indexing="ij"))
     plain = weighed(scatter(samples), filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
     corrected = plain + view.correction(exact(axis, samples), lines)[0][0]
-    missed = ends(view, exact(1 - axis, samples), samples)[0]
+    missed = view.ends(exact(1 - axis, samples), samples)[0]
     expected = truth(filter)[3:-3, 3:-3]
     return corrected - expected, corrected + missed - expected
 
@@ -91,13 +89,13 @@ def test_a_whole_edge_along_the_lines(filter: SeparableFilter, place: float, axi
     samples = sampled(beyond, 5, SIZE, SIZE, shift=(0.5, 0.5))
     lines = all_lines(samples, 1 - axis)
     some = crossings(1 - axis, lines, torch.full_like(lines, place), torch.ones(1, len(lines), dtype=torch.float64), samples)
-    view = Window(3, 3, SIZE - 6, SIZE - 6, filter, torch.device("cpu"))
+    view = View(3, 3, SIZE - 6, SIZE - 6, filter)
     rows, cols = (index.flatten() + 3 for index in torch.meshgrid(*(torch.arange(SIZE - 6),) * 2, indexing="ij"))
     plain = weighed(scatter(samples), filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
     expected = 1 - filter.profile_cdf(place - torch.arange(3, SIZE - 3, dtype=torch.float64) - 0.5)
     expected = (expected[:, None] if axis == 0 else expected).expand(SIZE - 6, SIZE - 6)
     assert float((plain - expected).abs().max()) > 1e-3
-    assert float((plain + ends(view, some, samples)[0] - expected).abs().max()) < 1e-12
+    assert float((plain + view.ends(some, samples)[0] - expected).abs().max()) < 1e-12
 
 
 def test_edges_that_cross_the_lines_have_no_ends() -> None:
@@ -105,11 +103,11 @@ def test_edges_that_cross_the_lines_have_no_ends() -> None:
     samples = sampled(lambda x, y: step(y > 5 + 0.2 * x), 5, SIZE, SIZE)
     lines = all_lines(samples, 1)
     some = crossings(1, lines, 5 + 0.2 * lines, torch.ones(1, len(lines), dtype=torch.float64), samples)
-    view = Window(3, 3, SIZE - 6, SIZE - 6, mcaa.Tent(), torch.device("cpu"))
+    view = View(3, 3, SIZE - 6, SIZE - 6, mcaa.Tent())
     some = some.take((lines > 0) & (lines < SIZE))
-    assert not ends(view, some, samples).any()
+    assert not view.ends(some, samples).any()
     flat = crossings(1, lines, 5 + 0.05 * lines, torch.ones(1, len(lines), dtype=torch.float64), samples)
-    assert float(ends(view, flat, samples).abs().max()) > 1e-4
+    assert float(view.ends(flat, samples).abs().max()) > 1e-4
 
 
 def test_neighbouring_crossings_of_other_jumps_are_no_edge() -> None:
@@ -117,15 +115,15 @@ def test_neighbouring_crossings_of_other_jumps_are_no_edge() -> None:
     samples = sampled(lambda x, y: x, 5, SIZE, SIZE)
     lines = all_lines(samples, 1)
     signs = (-torch.ones(len(lines), dtype=torch.float64)).pow(torch.arange(len(lines)))
-    view = Window(3, 3, SIZE - 6, SIZE - 6, mcaa.Tent(), torch.device("cpu"))
+    view = View(3, 3, SIZE - 6, SIZE - 6, mcaa.Tent())
     height = torch.full_like(lines, 8.23)
-    assert not ends(view, crossings(1, lines, height, signs[None], samples), samples).any()
-    assert ends(view, crossings(1, lines, height, signs.abs()[None], samples), samples).any()
+    assert not view.ends(crossings(1, lines, height, signs[None], samples), samples).any()
+    assert view.ends(crossings(1, lines, height, signs.abs()[None], samples), samples).any()
 
 
 def test_channels_and_no_crossings() -> None:
     samples = sampled(rectangle, 5, SIZE, SIZE)
-    view = Window(3, 3, SIZE - 6, SIZE - 6, mcaa.Tent(), torch.device("cpu"))
+    view = View(3, 3, SIZE - 6, SIZE - 6, mcaa.Tent())
     some = exact(1, samples)
     two = Crossings(
         1,
@@ -137,6 +135,6 @@ def test_channels_and_no_crossings() -> None:
         some.phase,
         some.segment,
     )
-    found = ends(view, two, samples)
+    found = view.ends(two, samples)
     assert torch.allclose(found[1], -2 * found[0], atol=1e-15) and found[0].any()
-    assert not ends(view, some.take(torch.tensor([], dtype=torch.long)), samples).any()
+    assert not view.ends(some.take(torch.tensor([], dtype=torch.long)), samples).any()

@@ -114,8 +114,8 @@ class _Bisection:
         if len(whole) == 0:
             return
         axis = torch.where(self.flat, 0, 1)[whole]
-        key = torch.cat([p.key for p in self.parts])[whole]
-        moved = _SPLIT * (rng.uniform(self.seed, _PLACE, axis, *key.unbind(1), dtype=torch.float64) - 0.5)
+        stream = torch.cat([p.stream for p in self.parts])[whole]
+        moved = _SPLIT * (rng.uniform(self.seed, _PLACE, axis, stream).to(torch.float64) - 0.5)
         share = (torch.arange(1, 4, device=whole.device)[:, None] + moved) / 4
         low, high = self.low[whole], self.high[whole]
         places = low + share * (high - low)

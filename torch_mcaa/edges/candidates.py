@@ -16,6 +16,8 @@ _FAINT = 1e-12
 """A difference that is none, in ranges of the samples: the tail of a step that vanishes exponentially."""
 _MANY = 0.02
 """The share of differences that are not 0 from which on a quick test for all of them pays."""
+_ROW, _COL = 0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F
+"""Odd numbers that no small differences of rows and columns cancel, modulo 2^64."""
 _FOLLOWED = 0.2
 """A part of a segment may hold a jump while its change is over this share of the segment's."""
 
@@ -48,6 +50,12 @@ class Segments:
     def __len__(self) -> int:
         return len(self.across)
 
+    @property
+    def stream(self) -> Tensor:
+        """int64 (S,): the key in one number, for one hash in the place of three."""
+        line, row, col = self.key.unbind(1)
+        return line + _ROW * row + _COL * col
+
     def take(self, index: Tensor) -> Segments:
         """The segments at `index`, integers or bool."""
         return Segments(self.axis, *(getattr(self, field.name)[_along(field.name, index)] for field in fields(self)[1:]))
@@ -69,12 +77,14 @@ def candidates(samples: Samples, axis: int) -> Segments:
     """
     differences = samples.differences(axis)
     size, values = differences.size, samples.values.flatten(1)
-    low, high = torch.aminmax(values, dim=1) if values.shape[1] else (values.new_zeros(len(values)),) * 2
-    some = size > _FAINT * (high - low)[:, None]
+    # one by one: along a dimension it is several times slower
+    span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if len(v) else v.new_zeros(()) for v in values])
+    some = size > _FAINT * span[:, None]
     many = int(some.count_nonzero()) > _MANY * some.numel()
     if many:
         some = differences.pruned(some, _TIMES)
-    channel, index = some.nonzero().unbind(1)
+    flat = some.flatten().nonzero()[:, 0]
+    channel, index = flat // max(1, size.shape[1]), flat % max(1, size.shape[1])
     around = torch.arange(-_AROUND, _AROUND + 1, device=size.device)
     near = differences.beside(index, around)
     window = size[channel[:, None], near.clamp_min(0)].masked_fill(near < 0, torch.nan)

@@ -34,29 +34,34 @@ class Window:
         """How many pixels around another a filter needs samples in, and their neighbours on the lines."""
         return math.ceil(filter.half_width - 0.5) + 1
 
-    def correction(self, pixels: Pixels, crossings: Crossings, norm: float) -> tuple[Tensor, Tensor]:
+    def correction(self, pixels: Pixels, crossings: Crossings, norm: float) -> tuple[Tensor, Tensor, Tensor]:
         """(C, P): the correction for lines with samples 1 px apart whose weights sum to `norm`, and its variance from the brackets.
+
+        And the `density` (P,) of the crossings.
 
         A crossing at t on the line y with jump Δ adds Δ w(y - c_y) (D(t) - D_inf W(t)) / norm, where W(t) is the integral of w(x - c_x) over
         x > t, D(t) = W(t) less the samples' sum of the same, and D_inf = D(-inf). It is 0 beyond the filter's reach.
         """
-        total, spread = self.zeros(pixels, len(crossings.before)), self.zeros(pixels, len(crossings.before))
+        channels = len(crossings.before)
+        total, spread, seen = (self.zeros(pixels, count) for count in (channels, channels, 1))
         crossings = crossings.take(self.reaching(pixels, crossings.axis, crossings.place, crossings.across))
         for start in range(0, len(crossings), _AT_ONCE):
             part = crossings.take(torch.arange(start, min(start + _AT_ONCE, len(crossings)), device=self.device))
             along, across = part.place, part.across
             near, beside = along.floor().long()[:, None] + self.offsets, across.floor().long()[:, None] + self.offsets
             d, density = self._missed(along, part.phase, near)
-            side = self.filter.profile(across[:, None] - beside - 0.5) / norm
-            error = density * (part.width / math.sqrt(12))[:, None]
+            side = self.filter.profile(across[:, None] - beside - 0.5)
             if part.axis == 0:
-                index, weight, doubt = pair(pixels, beside, near), outer(side, d), outer(side, error)
+                index, weight, doubt = pair(pixels, beside, near), outer(side, d / norm), outer(side, density)
             else:
-                index, weight, doubt = pair(pixels, near, beside), outer(d, side), outer(error, side)
+                index, weight, doubt = pair(pixels, near, beside), outer(d / norm, side), outer(density, side)
+            size = part.jump.abs().amax(0).to(torch.float64)
+            seen[0].index_add_(0, index, (size[:, None, None] * doubt).abs_().view(-1))
+            doubt *= (part.width / (math.sqrt(12) * norm))[:, None, None]
             for channel, jump in enumerate(part.jump.to(torch.float64)):
                 total[channel].index_add_(0, index, (jump[:, None, None] * weight).view(-1))
                 spread[channel].index_add_(0, index, (jump[:, None, None] * doubt).square_().view(-1))
-        return total[:, :-1], spread[:, :-1]
+        return total[:, :-1], spread[:, :-1], seen[0, :-1]
 
     def density(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
         """(P,): the sum of `size` times |w| at places on lines along `axis`: how much change they see."""

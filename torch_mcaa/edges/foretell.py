@@ -58,8 +58,7 @@ class _Try:
         index = (found & ~segments.single & inside).nonzero()[:, 0]
         place = place[index]
         # no two brackets alike: the middles of the last ones must not err alike
-        key = segments.key[index].unbind(1)
-        shape = _WITHIN * (1 + 0.25 * rng.uniform(seed, _STREAM, segments.axis, *key, dtype=torch.float64))
+        shape = _WITHIN * (1 + 0.25 * rng.uniform(seed, _STREAM, segments.axis, segments.stream[index]).to(torch.float64))
         return cls(index, place - shape, place + _WITHIN)
 
 

@@ -143,15 +143,6 @@ class _Sparse(Differences):
         return torch.where(pair >= 0, pair * self.lines + line[:, None], -1)
 
 
-def sample(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, height: int, width: int, number: int) -> Everywhere:
-    """Evaluate f at the offsets x, y (n,) in the pixels [row, row + height) x [col, col + width)."""
-    rows = torch.arange(row, row + height, device=x.device)[:, None, None]
-    cols = torch.arange(col, col + width, device=x.device)
-    shape = height, len(x), width
-    places = ((cols + x[:, None]).expand(shape).flatten(), (rows + y[:, None]).expand(shape).flatten())
-    return Everywhere(x, y, row, col, ask(*places).unflatten(1, shape), number)
-
-
 def scattered(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor, number: int) -> Scattered:
     """Evaluate f at the offsets x, y (n,) in the pixels of `asked`, bool (R, Q), the first of which is (row, col)."""
     at_row, at_col = asked.nonzero().unbind(1)

@@ -90,13 +90,13 @@ class _Look:
     def at(cls, segments: Segments, where: Tensor, parts: int, most: int, seed: int) -> _Look:
         """At most so many of each part, at random."""
         hits = torch.bincount(where[segments.single], minlength=parts).to(torch.float64) / 2
-        order = torch.argsort(rng.bits(seed, _PILOT, segments.axis, *segments.key.unbind(1)))
+        order = torch.argsort(rng.bits(seed, _PILOT, segments.axis, segments.stream))
         order = order[torch.argsort(where[order], stable=True)]
         counts = torch.bincount(where, minlength=parts)
         rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[where[order]]
         chosen = order[rank < most]
         some = segments.take(chosen)
-        along = rng.uniform(seed, _PILOT, some.axis, *some.key.unbind(1), 1, dtype=torch.float64)
+        along = rng.uniform(seed, _PILOT, some.axis, 1, some.stream, dtype=torch.float64)
         return cls(some, where[chosen], some.low + along * (some.high - some.low), hits)
 
     @property

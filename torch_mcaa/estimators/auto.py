@@ -11,10 +11,10 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import sample
+from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
+from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
@@ -123,7 +123,7 @@ class AutoRound(Round):
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
         plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second)
-        jumping = (judged.verdict == Verdict.JUMPS) & (judged.tried >= _SURE)
+        jumping = _jumping(cell, judged)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
@@ -149,17 +149,18 @@ class AutoRound(Round):
     def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor]:
         """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples."""
         parts = self.parts
-        x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64).to(self.task.device) for axis in (0, 1))
+        x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64) for axis in (0, 1))
         row, col, bottom, right = cell.row - _RING, cell.col - _RING, cell.row + cell.height + _RING, cell.col + cell.width + _RING
         if self.task.boundary != "extend":
             row, col = max(row, 0), max(col, 0)
             bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
-        samples = sample(ask, x[None], y[None], row, col, bottom - row, right - col, 0)
+        values = ask.everywhere(float(x), float(y), row, col, bottom - row, right - col)
+        samples = Everywhere(x[None].to(self.task.device), y[None].to(self.task.device), row, col, values[:, :, None], 0)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
         blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
-        values = samples.values[:, cell.row - row :, 0, cell.col - col :][:, : cell.height, : cell.width]
+        values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
         steps = [
             torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
@@ -169,6 +170,14 @@ class AutoRound(Round):
         texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
         spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         return judged, texture.flatten(), spread.flatten().to(torch.float64)
+
+
+def _jumping(cell: Cell, judged: Judged) -> Tensor:
+    """The blocks that are known to jump: many candidates say so, or of a block beside, into which an edge that few of its own met goes on."""
+    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    sure = (judged.verdict == Verdict.JUMPS) & (judged.tried >= _SURE)
+    beside = dilated(sure.view(size), 1).flatten()
+    return sure | (beside & ((judged.verdict == Verdict.JUMPS) | (judged.verdict == Verdict.NONE)))
 
 
 def _about(cell: Cell, segments: Segments) -> Segments:

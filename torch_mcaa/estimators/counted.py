@@ -63,10 +63,7 @@ class Counted:
         """Raises Spent rather than ask more than the budget."""
         task, cell = self.task, self.cell
         inside = (row >= cell.row) & (row < cell.row + cell.height) & (col >= cell.col) & (col < cell.col + cell.width)
-        count = int(inside.count_nonzero())
-        if count > self.left - self.kept:
-            raise Spent
-        self.left -= count
+        self._spend(int(inside.count_nonzero()))
         # counted later: of few places a call is dearer than they are
         self._places.append((col, row))
         self._held += len(col)
@@ -81,12 +78,44 @@ class Counted:
             for c, r in zip(x.split(BLOCK), y.split(BLOCK), strict=True)
         ]
         values = parts[0] if len(parts) == 1 else torch.cat(parts, 1)
-        if task.integrand.nonfinite != "raise":
-            bad = ~values.isfinite().all(0)
-            if bool(bad.any()):
-                self._count(self.invalid, col[bad], row[bad])
-                values = values.masked_fill(bad, 0)
+        bad = self._bad(values)
+        if bad is not None:
+            self._count(self.invalid, col[bad], row[bad])
+            values = values.masked_fill(bad, 0)
         return values
+
+    def everywhere(self, x: float, y: float, row: int, col: int, height: int, width: int) -> Tensor:
+        """f (C, height, width) at one offset in each pixel of a part of the screen, in the dtype that a lattice asks it in.
+
+        Raises Spent rather than ask more than the budget.
+        """
+        task, cell = self.task, self.cell
+        rows = slice(max(0, row - cell.row), max(0, row + height - cell.row))
+        cols = slice(max(0, col - cell.col), max(0, col + width - cell.col))
+        self._spend(self._points[rows, cols].numel())
+        self._points[rows, cols] += 1
+        dtype = task.screen.coordinate_dtype(cell, task.dtype)
+        across = task.screen.x_of(torch.arange(col, col + width, dtype=torch.float64) + x).to(task.device, dtype)
+        down = task.screen.y_of(torch.arange(row, row + height, dtype=torch.float64) + y).to(task.device, dtype)
+        values = torch.stack(task.integrand(across.expand(height, width), down[:, None]))
+        bad = self._bad(values)
+        if bad is not None:
+            at, here = bad.nonzero().unbind(1)
+            self._count(self.invalid, here + col + x, at + row + y)
+            values = values.masked_fill(bad, 0)
+        return values
+
+    def _spend(self, count: int) -> None:
+        if count > self.left - self.kept:
+            raise Spent
+        self.left -= count
+
+    def _bad(self, values: Tensor) -> Tensor | None:
+        """Where values (C, ...) are not finite; None where all are, or it has been looked at."""
+        if self.task.integrand.nonfinite == "raise":
+            return None
+        bad = ~values.isfinite().all(0)
+        return bad if bool(bad.any()) else None
 
     def _counted(self) -> None:
         if self._places:

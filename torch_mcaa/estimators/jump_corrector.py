@@ -10,7 +10,6 @@ from torch import Tensor
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.lines import Samples
 from torch_mcaa.edges.pilot import Verdict, judge
-from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_of
 from torch_mcaa.estimators.counted import Counted, Spent
@@ -33,14 +32,15 @@ _FINER = 3
 
 @dataclass(frozen=True)
 class Corrected:
-    """Of one cell, in the pixels whose jumps were corrected, (P,) or (C, P).
+    """Of one cell, in the pixels (rows, cols) whose jumps were corrected, (P,) or (C, P).
 
     Attributes:
         value, variance: float64; no variance if a second shift could not be paid for, which would tell it.
         fine: bool, those corrected by the finer lattice.
     """
 
-    pixels: Pixels
+    rows: Tensor
+    cols: Tensor
     value: Tensor
     variance: Tensor | None
     fine: Tensor
@@ -188,9 +188,10 @@ def _finest(steps: int) -> float:
 
 def _of(level: Level, value: Tensor, variance: Tensor | None, fine: Tensor) -> Corrected:
     """What a level has corrected."""
-    pixels = Pixels(level.pixels.row, level.pixels.col, level.pixels.plane(level.near), level.pixels.margin)
-    near = level.near
-    return Corrected(pixels, value[:, near], None if variance is None else variance[:, near], fine[near])
+    near, pixels = level.near, level.pixels
+    return Corrected(
+        pixels.rows[near], pixels.cols[near], value[:, near], None if variance is None else variance[:, near], fine[near]
+    )
 
 
 def _merged(first: Level, second: Level) -> tuple[Tensor, Tensor]:

@@ -141,7 +141,7 @@ class Parts:
         model = torch.full((cell.height, cell.width), PLAIN, dtype=torch.uint8, device=task.device)
         near = torch.zeros_like(model, dtype=torch.bool)
         if result is not None:
-            rows, cols, kept = result.pixels.rows, result.pixels.cols, slice(None)
+            rows, cols, kept = result.rows, result.cols, slice(None)
             if bool(ask.invalid.any()):
                 kept = ~dilated(ask.invalid > 0, Window.halo_of(task.filter))[rows, cols]
             at = rows[kept], cols[kept]

@@ -1,0 +1,233 @@
+"""One shift of a lattice corrected for the jumps along its lines: each pixel along the axis that its edges cross."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.bisect import Crossings, bisect_all, joined
+from torch_mcaa.edges.candidates import Segments, candidates
+from torch_mcaa.edges.correction import Window
+from torch_mcaa.edges.ends import ends
+from torch_mcaa.edges.foretell import narrowed_all
+from torch_mcaa.edges.lines import Samples, norm, scattered, weighed
+from torch_mcaa.edges.pixels import Pixels
+from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
+from torch_mcaa.estimators.base import dilated
+from torch_mcaa.estimators.counted import Counted, Spent, on_screen
+from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.grid import Cell
+from torch_mcaa.patterns import Lattice
+
+_FIRST = 0.45
+"""The share of what is left that a first shift may spend on thin pieces."""
+_THIN = 2.0**-12
+"""Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
+_PREFERRED = 1.15
+"""What the horizontal lines' density of jumps is multiplied by, so that chance does not choose where both are alike."""
+_CORE = 0.03
+"""A pixel's share of the greatest density of jumps around it, from which on a second shift is made for it."""
+_NONE = 0.05
+_SHIFT = 0x11E5
+
+
+@dataclass(frozen=True)
+class Axes:
+    """What the axes count for in some pixels (P,): `share`, that of crossings along x, and where it has to be left open; open elsewhere."""
+
+    pixels: Pixels
+    share: Tensor
+    open: Tensor
+
+    def used(self, axis: int, wanted: Tensor) -> Tensor:
+        """Which pixels of `wanted`, bool (h, w), need the crossings along an axis."""
+        used, at = wanted.clone(), (self.pixels.rows, self.pixels.cols)
+        used[at] &= (self.share > 0 if axis == 0 else self.share < 1) | self.open
+        return used
+
+
+@dataclass(frozen=True)
+class Level:
+    """One shift's result in some pixels, (P,) or (C, P).
+
+    Attributes:
+        value: `spread` the variance of its brackets.
+        near: bool, the pixels whose filter reaches a crossing; `core` those where it weighs much.
+        crossings: along either axis.
+        axes: what they count for; for another shift, one axis alone where thin pieces are.
+    """
+
+    pixels: Pixels
+    value: Tensor
+    spread: Tensor
+    near: Tensor
+    core: Tensor
+    crossings: list[Crossings]
+    axes: Axes
+
+
+class Leveller:
+    """Shifts of lattices over one cell.
+
+    Attributes:
+        plain: (C, h, w) the weighted means of a lattice that was sampled everywhere.
+        finest: px, how narrow a bracket has to be.
+        followed: whether no thin piece that was met had to be left to sampling.
+    """
+
+    def __init__(self, ask: Counted, cell: Cell, filter: SeparableFilter, seed: int, plain: Tensor) -> None:
+        self.ask, self.cell, self.seed, self.plain = ask, cell, seed, plain
+        self.window = Window(filter, plain.device)
+        self.finest, self.followed = 0.0, True
+
+    def pixels(self, mask: Tensor) -> Pixels:
+        """Those of a mask of the cell, bool (h, w)."""
+        return Pixels(self.cell.row, self.cell.col, mask, self.window.margin)
+
+    def axes(self, found: Sequence[Segments]) -> tuple[Axes, list[Tensor]]:
+        """What the axes count for as far as candidates tell, and what either sees (P,)."""
+        window = self.window
+        middles = [((s.low + s.high) / 2, s.across) for s in found]
+        pixels = self.pixels(self.reached(middles))
+        seen = [
+            window.density(pixels, s.axis, *middle, (s.after - s.before).abs().amax(0).to(torch.float64))
+            for s, middle in zip(found, middles, strict=True)
+        ]
+        share, open_ = _share(*seen), seen[0] + seen[1] == 0
+        # how often samples hit a thin piece says little of its direction
+        for segments, (along, across) in zip(found, middles, strict=True):
+            if bool(segments.single.any()):
+                hits = segments.single.to(torch.float64)
+                open_ |= window.density(pixels, segments.axis, along, across, hits) > 0
+        return Axes(pixels, share, open_), seen
+
+    def reached(self, places: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
+        """The pixels (h, w) whose filter may reach places on lines along x and along y."""
+        reach, cell = self.window.reach, self.cell
+        mask = torch.zeros(cell.height + 2 * reach, cell.width + 2 * reach, dtype=torch.bool, device=self.window.device)
+        for axis, (along, across) in enumerate(places):
+            x, y = (along, across) if axis == 0 else (across, along)
+            row, col = y.floor().long() - (cell.row - reach), x.floor().long() - (cell.col - reach)
+            inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
+            mask[row[inside], col[inside]] = True
+        return dilated(mask, reach)[reach:-reach, reach:-reach]
+
+    def shift(self, count: int, number: int, wanted: Tensor, known: Level | None = None) -> Level:
+        """A shift of a lattice of `count`, asked as far as the pixels `wanted` (h, w) need it; the axes of `known` are taken over."""
+        window, halo, cell = self.window, self.window.halo, self.cell
+        sx, sy = (float(rng.uniform(self.seed, _SHIFT, number, axis, dtype=torch.float64)) for axis in (0, 1))
+        strip = Lattice().strip(count, number, False, (sx, sy), lines=True)
+        x, y = (torch.from_numpy(places).to(window.device) for places in (strip.x, strip.y))
+        asked = dilated(torch.nn.functional.pad(wanted, (halo,) * 4), max(1, halo - 1))
+        row, col = cell.row - halo, cell.col - halo
+        asked &= on_screen(self.ask.task, row, col, (asked.shape[0], asked.shape[1]))
+        samples = scattered(self.ask, x, y, row, col, asked, number)
+        pixels = self.pixels(wanted)
+        plain = weighed(samples, window.filter.profile, pixels.rows + cell.row, pixels.cols + cell.col, halo)
+        found = [candidates(samples, axis) for axis in (0, 1)]
+        if known is None:
+            return self._level(samples, found, self.axes(found)[0], wanted, pixels, plain)
+        return self._level(samples, found, known.axes, wanted, pixels, plain, known.crossings)
+
+    def first(self, samples: Samples, found: list[Segments], axes: Axes, wanted: Tensor) -> Level:
+        """The lattice that was sampled everywhere, in the pixels `wanted` (h, w) that a crossing reaches."""
+        return self._level(samples, found, axes, wanted)
+
+    def _level(
+        self,
+        samples: Samples,
+        found: list[Segments],
+        axes: Axes,
+        wanted: Tensor,
+        pixels: Pixels | None = None,
+        plain: Tensor | None = None,
+        known: list[Crossings] | None = None,
+    ) -> Level:
+        """Bisect the candidates of the axis that each pixel takes, and add what they miss."""
+        window, seed = self.window, self.seed + samples.number
+        used = [axes.used(axis, wanted) for axis in (0, 1)]
+        taken = [segments.take(self.reaching(segments, here)) for segments, here in zip(found, used, strict=True)]
+        most = _FIRST if known is None else 1.0
+        every = [
+            self._completed(crossings, samples, here, seed, most)
+            for crossings, here in zip(self._bisected(taken, samples, known, seed), used, strict=True)
+        ]
+        if pixels is None or plain is None:
+            pixels = self.pixels(self.reached([(c.place, c.across) for c in every]) & wanted)
+            plain = self.plain[:, pixels.rows, pixels.cols]
+        scale = norm(samples, window.filter.profile, window.halo)
+        corrections, spreads, densities = zip(*(window.correction(pixels, c, scale) for c in every), strict=True)
+        # now that all is known, the mixture where both axes were followed
+        share, open_ = pixels.of(axes.pixels, axes.share, 0.0), pixels.of(axes.pixels, axes.open, True)
+        share = torch.where(((share > 0) & (share < 1)) | open_, _share(*densities), share)
+        value, spread = plain.clone(), torch.zeros_like(plain)
+        mixed = bool(((share > 0) & (share < 1)).any())
+        for axis, weight in enumerate((share, 1 - share)):
+            correction = corrections[axis]
+            if mixed:
+                correction = correction + ends(window, pixels, every[1 - axis], samples)
+            value += weight * correction
+            spread += weight**2 * spreads[axis]
+        density = torch.lerp(densities[1], densities[0], share)
+        near = density > 0
+        core = near & (density > _CORE * pixels.greatest(density, window.reach))
+        # where both axes have followed thin pieces and see them alike, one does for the next shift, the same all along a piece
+        alike = open_ & (share > 0) & (share < 1)
+        if bool((alike & near).any()):
+            for _ in range(4):
+                densities = tuple(pixels.summed(d) for d in densities)
+            share = torch.where(alike, (_PREFERRED * densities[0] >= densities[1]).to(share), share)
+        return Level(pixels, value, spread, near, core, every, Axes(pixels, share, torch.zeros_like(near)))
+
+    def _completed(self, crossings: Crossings, samples: Samples, used: Tensor, seed: int, share: float) -> Crossings:
+        """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left."""
+        if not thin_pieces(crossings, samples):
+            return crossings
+        without, cost = unfollowed(crossings, samples)
+        if cost <= share * self.ask.left:
+            origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
+            try:
+                with self.ask.keeping(1 - share):
+                    return complete(self.ask, crossings, samples, self._widened(used), origin, min(self.finest, _THIN), seed)
+            except Spent:
+                pass
+        self.followed = self.followed and len(without) == len(crossings)
+        return without
+
+    def _bisected(self, segments: list[Segments], samples: Samples, known: list[Crossings] | None, seed: int) -> list[Crossings]:
+        """The crossings of the segments along either axis; without any known, every second line foretells the others."""
+        apart = 2.5 / samples.count
+        if known is not None:
+            return bisect_all(self.ask, narrowed_all(self.ask, segments, known, apart, seed), self.finest, seed)
+        odd = [
+            torch.argsort(torch.argsort(across))[s.key[:, 0]] % 2 == 1
+            for s, across in zip(segments, (samples.y, samples.x), strict=True)
+        ]
+        first = bisect_all(self.ask, [s.take(~o) for s, o in zip(segments, odd, strict=True)], self.finest, seed)
+        rest = narrowed_all(self.ask, [s.take(o) for s, o in zip(segments, odd, strict=True)], first, apart, seed)
+        second = bisect_all(self.ask, rest, self.finest, seed)
+        return [joined([a, b]) for a, b in zip(first, second, strict=True)]
+
+    def reaching(self, segments: Segments, wanted: Tensor) -> Tensor:
+        """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""
+        wide, reach = self._widened(wanted), self.window.reach + 1
+        x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)
+        row = (y.floor().long() - self.cell.row + reach).clamp(0, wide.shape[0] - 1)
+        col = (x.floor().long() - self.cell.col + reach).clamp(0, wide.shape[1] - 1)
+        return wide[row, col]
+
+    def _widened(self, wanted: Tensor) -> Tensor:
+        """The pixels within the filter's reach and one of those `wanted`, of the cell and as much around it."""
+        reach = self.window.reach + 1
+        return dilated(torch.nn.functional.pad(wanted, (reach,) * 4), reach)
+
+
+def _share(horizontal: Tensor, vertical: Tensor) -> Tensor:
+    """What the horizontal lines' crossings count for: sharply, by the eighth powers of what the lines see of the edges."""
+    a, b = (density.square().square().square() for density in (horizontal, vertical))
+    share = a / (a + b).clamp_min(1e-300)
+    return torch.where(share < _NONE, 0, torch.where(share > 1 - _NONE, 1, share))
