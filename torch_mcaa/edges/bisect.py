@@ -14,9 +14,9 @@ from torch_mcaa.edges.lines import Ask
 
 _PLACE = 0xB15EC
 _LEAF = 1 / 16
-"""Px: a part no longer followed is a step of its own where it is no wider, and smooth where it is."""
+"""Px: a part no longer followed is a step of its own where it is no wider; wider parts are followed to there while they change at all."""
 _FAINT = 0.1
-"""A part whose change is under this share of what would be followed is smooth, however narrow: a ramp beside a jump."""
+"""A part whose change is under this share of what would be followed is smooth: a ramp beside a jump."""
 _SPLIT = 0.1
 """How far the first places may move, in quarters of the segment."""
 _MISSED = 0.25
@@ -130,8 +130,9 @@ class _Bisection:
     def followed(self, root: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor) -> tuple[Tensor, ...]:
         """The brackets that are to be narrowed further; of the others those that are steps of their own are noted."""
         change, least = (after - before).abs(), self.least[:, root]
-        on = (change > least).any(0)
-        leaf = ~on & (high - low <= _LEAF) & (change > _FAINT * least).any(0)
+        on, some, wide = (change > least).any(0), (change > _FAINT * least).any(0), high - low > _LEAF
+        leaf = some & ~on & ~wide
+        on |= some & wide
         if bool(leaf.any()):
             self.done.append((root[leaf], low[leaf], high[leaf], before[:, leaf], after[:, leaf]))
         if not bool(on.all()):

@@ -15,7 +15,7 @@ from torch_mcaa.edges.lines import Ask
 
 _PILOT = 0x91107
 _FINEST = 2.0**-8
-_STEEP = 1 / 8
+_STEEP = 1 / 4
 """Px: a continuous step no wider than this is treated as a jump, or several."""
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
@@ -57,7 +57,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     Args:
         part: for each axis the part (S,) of its segments.
     """
-    tried, jumped, wrong = (torch.zeros(parts, dtype=torch.int64, device=part[0].device) for _ in range(3))
+    tried = torch.zeros(parts, dtype=torch.int64, device=part[0].device)
+    change, jumped, wrong = (torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(3))
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
@@ -68,11 +69,14 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
         for look, crossings, value in zip(looks, bisected, values, strict=True):
             where, has = look.where, look.jumped(crossings, parts)
             lines += look.lines(crossings, parts)
-            for total, seen in ((tried, where), (jumped, where[has]), (wrong, where[has & look.mistold(crossings, value)])):
-                total += torch.bincount(seen, minlength=parts)
+            tried += torch.bincount(where, minlength=parts)
+            # the foot of a smooth step looks like a jump to a candidate that sees no more of it: each counts by its change
+            size = look.size.to(torch.float64)
+            for total, seen in ((change, size), (jumped, size * has), (wrong, size * (has & look.mistold(crossings, value)))):
+                total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
     verdict[wrong > _MISPREDICTED * jumped] = Verdict.NOISE
-    verdict[jumped < _FEW * tried] = Verdict.CONTINUOUS
+    verdict[jumped < _FEW * change] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
     return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
 

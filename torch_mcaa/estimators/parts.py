@@ -151,7 +151,7 @@ class Parts:
                 variance[:, *at] = result.variance[:, kept].to(task.dtype)
             model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
         part = Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count)
-        return self._sampled_further(cell, part, near, ask.left)
+        return self._sampled_further(cell, part, count, near, ask.left)
 
     def _lattice(self, spp: int, lines: bool) -> LatticeRound:
         if (spp, lines) not in self._lattices:
@@ -185,8 +185,8 @@ class Parts:
             allowed &= ((rows >= halo) & (rows < height - halo))[:, None] & (cols >= halo) & (cols < width - halo)
         return allowed
 
-    def _sampled_further(self, cell: Cell, part: Part, near: Tensor, left: int) -> Part:
-        """More samples in the blocks whose pixels were not corrected, unless they are known well enough."""
+    def _sampled_further(self, cell: Cell, part: Part, count: int, near: Tensor, left: int) -> Part:
+        """More samples than the `count` a pixel in the blocks whose pixels were not corrected, unless they are known well enough."""
         value, variance, points, invalid, model = part.value, part.variance, part.points, part.invalid, part.model
         finite = value.nan_to_num(0.0, 0.0, 0.0)
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
@@ -205,7 +205,7 @@ class Parts:
             left -= more.spent
             at = (slice(None), rows, cols)
             free = ~near[rows, cols]
-            share = free * _share(variance[at] * free, part.density, more.variance * free, rest)
+            share = free * _share(variance[at] * free, count, more.variance * free, rest)
             value[at] += (more.value - value[at]) * share
             variance[at] = variance[at] * (1 - share) ** 2 + more.variance * share**2
             points[rows, cols] += more.points
@@ -214,12 +214,14 @@ class Parts:
         return Part(value, variance, points, invalid, part.heavy, model, part.density)
 
 
-def _share(first: Tensor, had: float | Tensor, second: Tensor, more: int) -> float:
-    """The weight of a second lattice of `more` points a pixel beside a first of `had`, from the means of their variances over a block.
+def _share(first: Tensor, had: float, second: Tensor, more: int) -> float:
+    """The weight of a second lattice of `more` points a pixel beside a first of `had`.
 
-    Of few pixels, or where the variances have no mean, from their numbers of points: so few say too little.
+    n^1.5, the inverse variance on edges, or, if that is more for the larger lattice, the inverse means of their variances over a block, of
+    which a few pixels tell too little: a small lattice may take detail for none, and a large one is far better where f is smooth.
     """
+    share = more**1.5 / (more**1.5 + had**1.5)
     mine, theirs = (float(v.to(torch.float64).mean()) for v in (first, second))
     if first[0].numel() < MANY or not 0 < mine + theirs < math.inf:
-        mine, theirs = float(more) ** 1.5, float(had) ** 1.5
-    return mine / (mine + theirs)
+        return share
+    return (max if more > had else min)(share, mine / (mine + theirs))
