@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -15,13 +15,16 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators import Estimate, Estimator, Pixelwise, PixelwiseRound, Round, Task
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.grid import Cell
-from torch_mcaa.picture import add, blank
+from torch_mcaa.picture import add, blank, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
+from torch_mcaa.replicates import agreed
 from torch_mcaa.sharing_out import shared_out
 from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 4
+_BLOCK = 32
+"""Px: the side of what is done, under a tolerance, when it meets it."""
 _GROWTH, _SURE = 1.5, 1.1
 """A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
 _PILOT_SHARE = 4
@@ -38,7 +41,7 @@ class Rounds:
     tolerance: Tolerance | None
     deadline: float | None
     bar: Progress
-    cells: Sequence[Cell] = field(init=False)
+    cells: list[Cell] = field(init=False)
     weights: list[float] = field(init=False)
     sizes: list[float] = field(init=False)
     number: int = field(default=0, init=False)
@@ -51,7 +54,16 @@ class Rounds:
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
-        self.cells = list(self.task.screen.cells(*self.estimator.cell(self.task, adaptive)))
+        size = self.estimator.cell(self.task, adaptive)
+        # a part of a picture under an endless filter takes the samples of all of it
+        cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
+        self._side = _BLOCK if cut else max(size)
+        self._areas: list[tuple[Cell, int]] = []
+        self.cells = []
+        for area in self.task.screen.cells(*size):
+            blocks = area.blocks(self._side)
+            self._areas.append((area, len(blocks)))
+            self.cells += blocks
         self.weights, self.sizes = [0.0] * len(self.cells), [0.0] * len(self.cells)
         chosen = self.estimator
         self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
@@ -65,6 +77,16 @@ class Rounds:
                     f"raise spp to {self.pilot + self._floor} or more, or take allocation=Uniform()"
                 )
 
+    def _parts(self, asked: dict[int, int]) -> Iterator[tuple[Cell, list[int]]]:
+        """Rectangles of the cells that ask for one number of evaluations, inside the estimator's own cells, and the cells in each."""
+        first = 0
+        for area, count in self._areas:
+            labels = [asked.get(index, 0) for index in range(first, first + count)]
+            for part, inside in area.rectangles(self._side, labels):
+                if labels[inside[0]]:
+                    yield part, [first + index for index in inside]
+            first += count
+
     def run(self) -> Stopped:
         """Rounds until the tolerance is met, or the evaluations or the time are spent.
 
@@ -76,13 +98,18 @@ class Rounds:
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
             rounds: dict[int, Round] = {}
-            for done, (index, each) in enumerate(asked.items()):
+            parts, done = list(self._parts(asked)), 0
+            for part, inside in parts:
+                each = asked[inside[0]]
                 if each not in rounds:
-                    rounds[each] = self._round(each, [i for i, other in asked.items() if other == each])
+                    rounds[each] = self._round(each, [other for other, within in parts if asked[within[0]] == each])
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
-                self._add(index, rounds[each].estimate(self.cells[index]), rounds[each].per_pixel)
-                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else (done + 1) / len(asked))
+                found = rounds[each].estimate(part)
+                for index in inside:
+                    self._add(index, part_of(found, part, self.cells[index]), rounds[each].per_pixel)
+                done += len(inside)
+                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else done / len(asked))
             self.number += 1
             if self.single:
                 return "spp"
@@ -118,14 +145,14 @@ class Rounds:
         excess = self.tolerance.excess(*self._seen(index))
         return max(self.estimator.again, math.ceil(had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)))
 
-    def _round(self, asked: int, active: Sequence[int]) -> Round:
-        """The next round, of at most `asked` evaluations a pixel and with all its points under the cap."""
+    def _round(self, asked: int, active: Sequence[Cell]) -> Round:
+        """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap."""
         left = int(self.spp * self.task.screen.height * self.task.screen.width - self._spent)
         if self.allocated and (self.number or self._known is not None):
             assert isinstance(self.estimator, Pixelwise)
             inside = torch.zeros(self.task.screen.height, self.task.screen.width, dtype=torch.bool, device=self.task.device)
-            for index in active:
-                inside[self.cells[index].window] = True
+            for cell in active:
+                inside[cell.window] = True
             pixels = int(inside.sum())
             total = left if left < (asked + 1) * pixels else asked * pixels
             counts, self.predicted_optimum = shared_out(self.estimator.allocation, self._picture, inside, total, self._floor)
@@ -133,7 +160,7 @@ class Rounds:
         while True:
             current = self.estimator.round(self.task, asked, self.number)
             # a cut pattern can hold more than its share
-            if asked == self.estimator.fewest or sum(current.points(self.cells[index]) for index in active) <= left:
+            if asked == self.estimator.fewest or sum(current.points(cell) for cell in active) <= left:
                 return current
             asked -= 1
 
@@ -161,17 +188,19 @@ class Rounds:
         cell = self.cells[index]
         if self._picture is None:
             self._picture = blank(self.task, len(new.value), new.diagnostics is not None)
+        window = (slice(None), *cell.window)
+        old, had = self.weights[index], self.sizes[index]
         weight = points**1.5
         if new.model is not None and new.value[0].numel() >= MANY:
             told = new.variance[new.variance.isfinite()].to(torch.float64)
             weight = 1 / max(1e-300, float(told.mean())) if len(told) else 1e-300
-        old = self.weights[index]
         combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
         share: float | Tensor | None = weight / (old + weight)
         if old == 0 or combine == "discard_pilot":
             share = None
         elif combine == "pooled":
             share = new.points / (new.points + self._picture.points[cell.window])
+        difference = new.value - self._picture.value[window]
         add(self._picture, cell, new, share, self.task.integrand.nonfinite == "propagate")
         if new.heavy is not None:
             self.heavy.append((cell, new.heavy))
@@ -181,6 +210,10 @@ class Rounds:
                 self.unseen[index] = before * (1 - share) ** 2 + new.unseen * share**2
             else:
                 self.unseen[index] = new.unseen
+        if share is not None and new.diagnostics is None and new.value[0].numel() >= MANY:
+            floor = self.unseen.get(index, 0.0)
+            reported = (self._picture.variance[window] - floor).clamp_min(0)
+            self._picture.variance[window] = agreed(difference, reported, points**1.5 / (had**1.5 + points**1.5)) + floor
         if new.model is not None:
             if self.model is None:
                 self.model = torch.zeros_like(self._picture.points, dtype=torch.uint8)

@@ -72,7 +72,7 @@ def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget
             sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
             float(spread[inside].mean()),
         )
-        for part, inside in _rectangles(cell, labels)
+        for part, inside in cell.rectangles(BLOCK, labels)
     ]
 
 
@@ -115,33 +115,3 @@ def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
     other = ((verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)).view(1, *size).to(torch.float32)
     beside = torch.nn.functional.max_pool2d(other, 3, 1, 1).flatten() > 0
     return (verdict == Verdict.NONE) & ~beside
-
-
-def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, list[int]]]:
-    """Rectangles of blocks of one label: the part of the cell, and its blocks."""
-    wide = -(-cell.width // BLOCK)
-    # first row, rows, first column, columns, in blocks
-    merged: list[tuple[int, int, int, int]] = []
-    for row in range(len(labels) // wide):
-        start = 0
-        for col in range(wide):
-            here = row * wide + start
-            if col + 1 < wide and labels[here + col + 1 - start] == labels[here]:
-                continue
-            width = col + 1 - start
-            above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (start, width)), None)
-            if above is not None and labels[above[0] * wide + start] == labels[here]:
-                merged[merged.index(above)] = (above[0], above[1] + 1, start, width)
-            else:
-                merged.append((row, 1, start, width))
-            start = col + 1
-    found = []
-    for row, height, col, width in merged:
-        part = Cell(
-            cell.row + row * BLOCK,
-            cell.col + col * BLOCK,
-            min(height * BLOCK, cell.height - row * BLOCK),
-            min(width * BLOCK, cell.width - col * BLOCK),
-        )
-        found.append((part, [(row + i) * wide + col + j for i in range(height) for j in range(width)]))
-    return found
