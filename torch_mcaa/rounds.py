@@ -99,10 +99,13 @@ class Rounds:
             began, before = time.perf_counter(), self.task.integrand.evaluations
             rounds: dict[int, Round] = {}
             parts, done = list(self._parts(asked)), 0
+            spare = self.spp * pixels - self._spent - sum(each * self._pixels(index) for index, each in asked.items())
+            spare = max(0, int(spare / sum(map(self._pixels, asked))))
             for part, inside in parts:
                 each = asked[inside[0]]
                 if each not in rounds:
-                    rounds[each] = self._round(each, [other for other, within in parts if asked[within[0]] == each])
+                    alike = [other for other, within in parts if asked[within[0]] == each]
+                    rounds[each] = self._round(each, alike, each + spare)
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
                 found = rounds[each].estimate(part)
@@ -131,12 +134,15 @@ class Rounds:
     def _affordable(self, active: Sequence[int], wanted: dict[int, int] | None, left: float) -> dict[int, int]:
         """What each cell may ask for if the `left` evaluations are shared in proportion to what is wanted; those that get too few go."""
         least = self._least
-        pixels = {index: self.cells[index].height * self.cells[index].width for index in active}
+        pixels = {index: self._pixels(index) for index in active}
         if wanted is None:
             wanted = dict.fromkeys(active, int(left // sum(pixels.values())))
         total = sum(wanted[index] * pixels[index] for index in active)
         share = min(1.0, left / max(1, total))
         return {index: int(wanted[index] * share) for index in active if int(wanted[index] * share) >= least}
+
+    def _pixels(self, index: int) -> int:
+        return self.cells[index].height * self.cells[index].width
 
     def _needed(self, index: int) -> int:
         """What a cell is expected to need more, its variance falling as n^-1.5, at most `_GROWTH` times what it has had."""
@@ -145,8 +151,11 @@ class Rounds:
         excess = self.tolerance.excess(*self._seen(index))
         return max(self.estimator.again, math.ceil(had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)))
 
-    def _round(self, asked: int, active: Sequence[Cell]) -> Round:
-        """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap."""
+    def _round(self, asked: int, active: Sequence[Cell], most: int) -> Round:
+        """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap.
+
+        Under a tolerance an estimator may take up to `most` where it pays.
+        """
         left = int(self.spp * self.task.screen.height * self.task.screen.width - self._spent)
         if self.allocated and (self.number or self._known is not None):
             assert isinstance(self.estimator, Pixelwise)
@@ -158,7 +167,10 @@ class Rounds:
             counts, self.predicted_optimum = shared_out(self.estimator.allocation, self._picture, inside, total, self._floor)
             return PixelwiseRound(self.estimator, self.task, total / pixels, self.number, counts)
         while True:
-            current = self.estimator.round(self.task, asked, self.number)
+            if self.tolerance is None or most < asked:
+                current = self.estimator.round(self.task, asked, self.number)
+            else:
+                current = self.estimator.round_within(self.task, asked, self.number, most)
             # a cut pattern can hold more than its share
             if asked == self.estimator.fewest or sum(current.points(cell) for cell in active) <= left:
                 return current
@@ -189,6 +201,8 @@ class Rounds:
         if self._picture is None:
             self._picture = blank(self.task, len(new.value), new.diagnostics is not None)
         window = (slice(None), *cell.window)
+        if new.model is not None:
+            points = float(new.points.to(torch.float64).mean())
         old, had = self.weights[index], self.sizes[index]
         weight = points**1.5
         if new.model is not None and new.value[0].numel() >= MANY:

@@ -85,6 +85,11 @@ class Auto(Estimator):
             return Shared().round(task, spp, number)
         return AutoRound(task, spp, number)
 
+    def round_within(self, task: Task, spp: int, number: int, most: int) -> Round:
+        if spp < _FEWEST or not _can_locate(task):
+            return self.round(task, spp, number)
+        return AutoRound(task, spp, number, most=most)
+
 
 def _can_locate(task: Task) -> bool:
     """Whether the mean of the lines is good once jumps are located: w must go to 0 at its sides, or those are ends that lines just miss or meet."""
@@ -96,10 +101,14 @@ def _can_locate(task: Task) -> bool:
 
 
 class AutoRound(Round):
-    """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part."""
+    """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part.
 
-    def __init__(self, task: Task, spp: int, number: int, plain: bool = True) -> None:
+    Blocks whose jumps could not be located with `spp` evaluations a pixel have up to `most`.
+    """
+
+    def __init__(self, task: Task, spp: int, number: int, plain: bool = True, most: int | None = None) -> None:
         self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
+        self.most = most
         self.per_pixel = float(spp)
 
     def points(self, cell: Cell) -> int:
@@ -119,11 +128,13 @@ class AutoRound(Round):
         audits = 0 if self.plain else pixels
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
-        plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second)
+        plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second, self.most or 0)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
         reserved = sum(plan.cost for plan in plain)
+        if self.most is not None:
+            left = max(left, min(left + (self.most - self.spp) * pixels, int(_MARGIN * expected + reserved)))
         done: list[tuple[Cell, Part]] = []
         for plan in located:
             budget = int(
@@ -132,6 +143,8 @@ class AutoRound(Round):
             part = self.parts.located(plan.cell, plan.lines, budget, plan.steps)
             done.append((plan.cell, part))
             left, expected = left - part.spent, expected - plan.cost
+        if self.most is not None:
+            left = min(left, int(reserved))
         # half in equal shares, half by Neyman's allocation, the spread of neighbouring samples in the place of the standard deviation
         pixels = sum(plan.cell.height * plan.cell.width for plan in plain)
         mean = sum(plan.spread * plan.cell.height * plan.cell.width for plan in plain) / max(1, pixels)

@@ -125,6 +125,10 @@ class Estimator(ABC):
     def round(self, task: Task, spp: int, number: int) -> Round:
         """Round `number` (0, 1, ...) with at most `spp` >= `fewest` evaluations a pixel; rounds are independent of one another."""
 
+    def round_within(self, task: Task, spp: int, number: int, most: int) -> Round:
+        """A round where evaluations may be spent unevenly, as under a tolerance: parts that pay for it have up to `most` a pixel."""
+        return self.round(task, spp, number)
+
 
 def pooled(variance: Tensor) -> Tensor:
     """The larger of each pixel's variance and the mean over its 3 x 3 neighbours inside the cell; (C, h, w). NaN and +inf do not spread."""

@@ -44,10 +44,20 @@ class Plan:
     spread: float
 
 
-def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget: int, plain: bool, second: int) -> list[Plan]:
+def plans_of(
+    cell: Cell,
+    judged: Judged,
+    texture: Tensor,
+    spread: Tensor,
+    budget: int,
+    plain: bool,
+    second: int,
+    ample: int = 0,
+) -> list[Plan]:
     """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
 
-    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise.
+    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
+    `ample` evaluations a pixel if they need them for three lines.
     """
     windows = windows_of(cell)
     pixels = torch.tensor([(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows], dtype=torch.float64)
@@ -56,13 +66,13 @@ def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget
     quiet = _quiet(cell, judged.verdict) & ~texture if plain else judged.verdict != Verdict.JUMPS
     share = spp * pixels
     steps = STEPS[0]
-    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
+    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
     for fewer in STEPS[1:]:
         busy = lines[judged.verdict == Verdict.JUMPS]
         if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, most):
             break
         steps = fewer
-        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
+        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
     labels = [int(count) for count in lines]
     return [
         Plan(
@@ -77,7 +87,7 @@ def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget
 
 
 def _lines(
-    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int
+    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int, ample: int
 ) -> tuple[Tensor, Tensor]:
     """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, and the evaluations for each of them.
 
@@ -94,6 +104,7 @@ def _lines(
     if not plain:
         count = max(_FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
         return torch.full_like(quiet, count - 1 + count % 2, dtype=torch.int64), torch.where(jumps, cost, pixels)
+    share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, _FEWEST_LINES / _SAFE * cost)), share)
     dear = _FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
     busy = jumps & (_FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
     while bool(busy.any()):
