@@ -23,10 +23,15 @@ from torch_mcaa.sharing_out import shared_out
 from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 4
-_BLOCK = 32
+_BLOCK = 16
 """Px: the side of what is done, under a tolerance, when it meets it."""
 _GROWTH, _SURE = 1.5, 1.1
 """A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
+_GROWTH_LOCATED = 4.0
+_FEW_SHIFTS = 4.30 / 2
+"""Of two degrees of freedom, over that of many: two shifts that agree at a corner by chance would pass as good."""
+_STEPS = 2
+"""Numbers of evaluations that a round may ask for, in each octave."""
 _PILOT_SHARE = 4
 """One part in so many of the evaluations is the pilot that an allocation is made from."""
 
@@ -145,11 +150,20 @@ class Rounds:
         return self.cells[index].height * self.cells[index].width
 
     def _needed(self, index: int) -> int:
-        """What a cell is expected to need more, its variance falling as n^-1.5, at most `_GROWTH` times what it has had."""
+        """What a cell is expected to need more, on a grid of numbers, so that neighbours ask alike.
+
+        Shared points come to a variance of n^-1.5 with all that a cell has had. Jumps are located anew each time, on lines that a corner's
+        variance falls with the fourth power of.
+        """
         assert self.tolerance is not None and self._picture is not None
         had = self.sizes[index]
-        excess = self.tolerance.excess(*self._seen(index))
-        return max(self.estimator.again, math.ceil(had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)))
+        excess = self._excess(index)
+        if self._located(index):
+            more = had * min(_GROWTH_LOCATED, _SURE * excess**0.25)
+        else:
+            more = had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)
+        step = math.ceil(_STEPS * math.log2(max(1.0, more / self.estimator.again)))
+        return math.ceil(self.estimator.again * 2 ** (step / _STEPS))
 
     def _round(self, asked: int, active: Sequence[Cell], most: int) -> Round:
         """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap.
@@ -237,8 +251,16 @@ class Rounds:
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
+        return self._excess(index) <= 1
+
+    def _excess(self, index: int) -> float:
+        """A cell's largest variance in parts of what is allowed, where it is told by two shifts at a few pixels with Student's quantile."""
         assert self.tolerance is not None
-        return self.tolerance.excess(*self._seen(index)) <= 1
+        excess = self.tolerance.excess(*self._seen(index))
+        return _FEW_SHIFTS**2 * excess if self._located(index) else excess
+
+    def _located(self, index: int) -> bool:
+        return self.model is not None and self.estimator.locates(self.model[self.cells[index].window])
 
     def _seen(self, index: int) -> tuple[Tensor, Tensor]:
         """A cell's values, and their variances without the floor for the unseen, which no number of samples would end."""

@@ -17,7 +17,7 @@ from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task
 from torch_mcaa.estimators.counted import Counted, Spent, is_random, on_screen
 from torch_mcaa.estimators.jump_corrector import BLOCK, JUDGED, KEPT, blocks_of
-from torch_mcaa.estimators.parts import MODELS, Part, Parts
+from torch_mcaa.estimators.parts import MODELS, Part, Parts, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.filters import SeparableFilter
@@ -66,6 +66,9 @@ class Auto(Estimator):
     @property
     def models(self) -> tuple[str, ...]:
         return MODELS
+
+    def locates(self, model: Tensor) -> bool:
+        return located(model)
 
     def check(self, task: Task) -> None:
         Shared().check(task)

@@ -113,6 +113,10 @@ class Estimator(ABC):
         """The names of what it may use in a pixel."""
         return (repr(self),)
 
+    def locates(self, model: Tensor) -> bool:
+        """Whether jumps were located in any of the pixels that `model` (h, w) is of."""
+        return False
+
     def bias(self, task: Task) -> tuple[str, ...]:
         """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
         return ()

@@ -32,6 +32,11 @@ _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
 
+def located(model: Tensor) -> bool:
+    """Whether jumps were located in any pixel."""
+    return bool(((model == LOCATED) | (model == FINER)).any())
+
+
 def lines_for(spp: float) -> int:
     """Points, and lines, a pixel of the lattice whose jumps are to be located with `spp` evaluations; odd."""
     count = max(3, int(_SHARE * spp + 0.5))
