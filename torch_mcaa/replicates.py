@@ -2,14 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
+from torch_mcaa.estimators import Estimate
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import box3
 
 _TILE = 8
 """Px: over how much of the screen the rounds' disagreement is compared with what they reported."""
+_OUTGROWN = 0.25
+
+
+@dataclass(frozen=True)
+class Latest:
+    """A cell's last round: what it found, its evaluations a pixel, and its weight."""
+
+    found: Estimate
+    points: float
+    weight: float
+
+    def outgrows(self, new: Tensor, mean: Tensor) -> bool:
+        """Whether a `new` round agrees so much better with it than with the `mean` of all (C, h, w) that those before it only spoil that.
+
+        Where the error falls as n^-1.5 or slower the mean is nearer; a lattice that has become fine enough for a smooth f is exact.
+        """
+        near, far = (float((new - old).square().mean(dtype=torch.float64)) for old in (self.found.value, mean))
+        return near < _OUTGROWN * far
 
 
 def agreed(difference: Tensor, reported: Tensor, share: float) -> Tensor:

@@ -18,14 +18,14 @@ from torch_mcaa.grid import Cell
 from torch_mcaa.picture import add, blank, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
-from torch_mcaa.replicates import agreed
+from torch_mcaa.replicates import Latest, agreed
 from torch_mcaa.sharing_out import shared_out
 from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 4
 _BLOCK = 16
 """Px: the side of what is done, under a tolerance, when it meets it."""
-_GROWTH, _SURE = 1.5, 1.1
+_GROWTH, _SURE = 1.0, 1.1
 """A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
 _GROWTH_LOCATED = 4.0
 _FEW_SHIFTS = 4.30 / 2
@@ -56,6 +56,7 @@ class Rounds:
     model: Tensor | None = field(default=None, init=False)
     _picture: Estimate | None = field(default=None, init=False)
     _spent: float = field(default=0.0, init=False)
+    _latest: dict[int, Latest] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
@@ -69,7 +70,7 @@ class Rounds:
             blocks = area.blocks(self._side)
             self._areas.append((area, len(blocks)))
             self.cells += blocks
-        self.weights, self.sizes = [0.0] * len(self.cells), [0.0] * len(self.cells)
+        self.weights, self.sizes, self._kept = ([0.0] * len(self.cells) for _ in range(3))
         chosen = self.estimator
         self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
         self.single = not adaptive and (not self.allocated or self._known is not None)
@@ -217,11 +218,21 @@ class Rounds:
         window = (slice(None), *cell.window)
         if new.model is not None:
             points = float(new.points.to(torch.float64).mean())
-        old, had = self.weights[index], self.sizes[index]
+        replicated = new.diagnostics is None and new.value[0].numel() >= MANY and self.tolerance is not None
+        latest = self._latest.get(index)
+        if latest is not None and latest.outgrows(new.value, self._picture.value[window]):
+            self._picture.value[window], self._picture.variance[window] = latest.found.value, latest.found.variance
+            self.weights[index], self._kept[index] = latest.weight, latest.points
+            if latest.found.unseen is not None:
+                self.unseen[index] = latest.found.unseen
+        old, had = self.weights[index], self._kept[index]
         weight = points**1.5
         if new.model is not None and new.value[0].numel() >= MANY:
             told = new.variance[new.variance.isfinite()].to(torch.float64)
             weight = 1 / max(1e-300, float(told.mean())) if len(told) else 1e-300
+            if had and not self._located(index):
+                # a finer lattice that sees more than those before it has met what they missed
+                weight = max(weight, old * (points / had) ** 1.5)
         combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
         share: float | Tensor | None = weight / (old + weight)
         if old == 0 or combine == "discard_pilot":
@@ -238,7 +249,7 @@ class Rounds:
                 self.unseen[index] = before * (1 - share) ** 2 + new.unseen * share**2
             else:
                 self.unseen[index] = new.unseen
-        if share is not None and new.diagnostics is None and new.value[0].numel() >= MANY:
+        if share is not None and replicated:
             floor = self.unseen.get(index, 0.0)
             reported = (self._picture.variance[window] - floor).clamp_min(0)
             self._picture.variance[window] = agreed(difference, reported, points**1.5 / (had**1.5 + points**1.5)) + floor
@@ -248,6 +259,9 @@ class Rounds:
             self.model[cell.window] = new.model
         self.weights[index] = old + weight
         self.sizes[index] += points
+        self._kept[index] += points
+        if replicated:
+            self._latest[index] = Latest(new, points, weight)
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
