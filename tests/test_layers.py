@@ -24,7 +24,7 @@ FLOORS = (
     {"grid", "filters", "patterns", "strata"},
     {"densities", "integrand", "texture", "scenes", "edges"},
     {"estimators"},
-    {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out"},
+    {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out", "replicates"},
     {"rounds"},
     {"render"},
     {"image_io"},

@@ -7,7 +7,7 @@ origin is sampled as finely as the first one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -31,6 +31,51 @@ class Cell:
     def window(self) -> tuple[slice, slice]:
         """The slices that cut this cell out of a picture."""
         return slice(self.row, self.row + self.height), slice(self.col, self.col + self.width)
+
+    def blocks(self, side: int) -> list[Cell]:
+        """Its blocks of `side` x `side` pixels, row by row; the last ones of a row or column are cut."""
+        return [
+            Cell(self.row + row, self.col + col, min(side, self.height - row), min(side, self.width - col))
+            for row in range(0, self.height, side)
+            for col in range(0, self.width, side)
+        ]
+
+    def within(self, other: Cell) -> tuple[slice, slice]:
+        """The slices that cut this cell out of planes of another."""
+        row, col = self.row - other.row, self.col - other.col
+        return slice(row, row + self.height), slice(col, col + self.width)
+
+    def rectangles(self, side: int, labels: Sequence[int]) -> list[tuple[Cell, list[int]]]:
+        """Blocks of one label as few rectangles: the part of the cell, and its blocks.
+
+        labels: of the blocks of `side` x `side` pixels, row by row; the last ones of a row or column are cut.
+        """
+        wide = -(-self.width // side)
+        # first row, rows, first column, columns, in blocks
+        merged: list[tuple[int, int, int, int]] = []
+        for row in range(len(labels) // wide):
+            start = 0
+            for col in range(wide):
+                here = row * wide + start
+                if col + 1 < wide and labels[here + col + 1 - start] == labels[here]:
+                    continue
+                width = col + 1 - start
+                above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (start, width)), None)
+                if above is not None and labels[above[0] * wide + start] == labels[here]:
+                    merged[merged.index(above)] = (above[0], above[1] + 1, start, width)
+                else:
+                    merged.append((row, 1, start, width))
+                start = col + 1
+        found = []
+        for row, height, col, width in merged:
+            part = Cell(
+                self.row + row * side,
+                self.col + col * side,
+                min(height * side, self.height - row * side),
+                min(width * side, self.width - col * side),
+            )
+            found.append((part, [(row + i) * wide + col + j for i in range(height) for j in range(width)]))
+        return found
 
 
 @dataclass(frozen=True)

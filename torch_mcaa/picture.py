@@ -65,3 +65,21 @@ def add(picture: Estimate, cell: Cell, new: Estimate, share: float | Tensor | No
             ess = before.ess[cell.window] + ess
             pareto_k = torch.fmax(before.pareto_k[window], pareto_k)
         before.predicted[window], before.ess[cell.window], before.pareto_k[window] = predicted, ess, pareto_k
+
+
+def part_of(new: Estimate, cell: Cell, inner: Cell) -> Estimate:
+    """The estimate of a part of its cell."""
+    if inner == cell:
+        return new
+    window = inner.within(cell)
+
+    def cut(plane: Tensor | None) -> Tensor | None:
+        return None if plane is None else plane if plane.shape[-2:] == (1, 1) else plane[(..., *window)]
+
+    diagnostics = new.diagnostics
+    if diagnostics is not None:
+        diagnostics = Diagnostics(
+            *(plane[(..., *window)] for plane in (diagnostics.predicted, diagnostics.ess, diagnostics.pareto_k))
+        )
+    value, variance, points, invalid = (plane[(..., *window)] for plane in (new.value, new.variance, new.points, new.invalid))
+    return Estimate(value, variance, points, invalid, diagnostics, cut(new.heavy), cut(new.unseen), cut(new.model))

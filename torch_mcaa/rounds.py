@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -15,15 +15,23 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators import Estimate, Estimator, Pixelwise, PixelwiseRound, Round, Task
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.grid import Cell
-from torch_mcaa.picture import add, blank
+from torch_mcaa.picture import add, blank, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
+from torch_mcaa.replicates import Latest, agreed
 from torch_mcaa.sharing_out import shared_out
 from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 4
-_GROWTH, _SURE = 1.5, 1.1
+_BLOCK = 16
+"""Px: the side of what is done, under a tolerance, when it meets it."""
+_GROWTH, _SURE = 1.0, 1.1
 """A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
+_GROWTH_LOCATED = 4.0
+_FEW_SHIFTS = 4.30 / 2
+"""Of two degrees of freedom, over that of many: two shifts that agree at a corner by chance would pass as good."""
+_STEPS = 2
+"""Numbers of evaluations that a round may ask for, in each octave."""
 _PILOT_SHARE = 4
 """One part in so many of the evaluations is the pilot that an allocation is made from."""
 
@@ -38,7 +46,7 @@ class Rounds:
     tolerance: Tolerance | None
     deadline: float | None
     bar: Progress
-    cells: Sequence[Cell] = field(init=False)
+    cells: list[Cell] = field(init=False)
     weights: list[float] = field(init=False)
     sizes: list[float] = field(init=False)
     number: int = field(default=0, init=False)
@@ -48,11 +56,21 @@ class Rounds:
     model: Tensor | None = field(default=None, init=False)
     _picture: Estimate | None = field(default=None, init=False)
     _spent: float = field(default=0.0, init=False)
+    _latest: dict[int, Latest] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
-        self.cells = list(self.task.screen.cells(*self.estimator.cell(self.task, adaptive)))
-        self.weights, self.sizes = [0.0] * len(self.cells), [0.0] * len(self.cells)
+        size = self.estimator.cell(self.task, adaptive)
+        # a part of a picture under an endless filter takes the samples of all of it
+        cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
+        self._side = _BLOCK if cut else max(size)
+        self._areas: list[tuple[Cell, int]] = []
+        self.cells = []
+        for area in self.task.screen.cells(*size):
+            blocks = area.blocks(self._side)
+            self._areas.append((area, len(blocks)))
+            self.cells += blocks
+        self.weights, self.sizes, self._kept = ([0.0] * len(self.cells) for _ in range(3))
         chosen = self.estimator
         self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
         self.single = not adaptive and (not self.allocated or self._known is not None)
@@ -65,6 +83,16 @@ class Rounds:
                     f"raise spp to {self.pilot + self._floor} or more, or take allocation=Uniform()"
                 )
 
+    def _parts(self, asked: dict[int, int]) -> Iterator[tuple[Cell, list[int]]]:
+        """Rectangles of the cells that ask for one number of evaluations, inside the estimator's own cells, and the cells in each."""
+        first = 0
+        for area, count in self._areas:
+            labels = [asked.get(index, 0) for index in range(first, first + count)]
+            for part, inside in area.rectangles(self._side, labels):
+                if labels[inside[0]]:
+                    yield part, [first + index for index in inside]
+            first += count
+
     def run(self) -> Stopped:
         """Rounds until the tolerance is met, or the evaluations or the time are spent.
 
@@ -76,13 +104,21 @@ class Rounds:
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
             rounds: dict[int, Round] = {}
-            for done, (index, each) in enumerate(asked.items()):
+            parts, done = list(self._parts(asked)), 0
+            spare = self.spp * pixels - self._spent - sum(each * self._pixels(index) for index, each in asked.items())
+            spare = max(0, int(spare / sum(map(self._pixels, asked))))
+            for part, inside in parts:
+                each = asked[inside[0]]
                 if each not in rounds:
-                    rounds[each] = self._round(each, [i for i, other in asked.items() if other == each])
+                    alike = [other for other, within in parts if asked[within[0]] == each]
+                    rounds[each] = self._round(each, alike, each + spare)
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
-                self._add(index, rounds[each].estimate(self.cells[index]), rounds[each].per_pixel)
-                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else (done + 1) / len(asked))
+                found = rounds[each].estimate(part)
+                for index in inside:
+                    self._add(index, part_of(found, part, self.cells[index]), rounds[each].per_pixel)
+                done += len(inside)
+                self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else done / len(asked))
             self.number += 1
             if self.single:
                 return "spp"
@@ -104,36 +140,54 @@ class Rounds:
     def _affordable(self, active: Sequence[int], wanted: dict[int, int] | None, left: float) -> dict[int, int]:
         """What each cell may ask for if the `left` evaluations are shared in proportion to what is wanted; those that get too few go."""
         least = self._least
-        pixels = {index: self.cells[index].height * self.cells[index].width for index in active}
+        pixels = {index: self._pixels(index) for index in active}
         if wanted is None:
             wanted = dict.fromkeys(active, int(left // sum(pixels.values())))
         total = sum(wanted[index] * pixels[index] for index in active)
         share = min(1.0, left / max(1, total))
         return {index: int(wanted[index] * share) for index in active if int(wanted[index] * share) >= least}
 
+    def _pixels(self, index: int) -> int:
+        return self.cells[index].height * self.cells[index].width
+
     def _needed(self, index: int) -> int:
-        """What a cell is expected to need more, its variance falling as n^-1.5, at most `_GROWTH` times what it has had."""
+        """What a cell is expected to need more, on a grid of numbers, so that neighbours ask alike.
+
+        Shared points come to a variance of n^-1.5 with all that a cell has had. Jumps are located anew each time, on lines that a corner's
+        variance falls with the fourth power of.
+        """
         assert self.tolerance is not None and self._picture is not None
         had = self.sizes[index]
-        excess = self.tolerance.excess(*self._seen(index))
-        return max(self.estimator.again, math.ceil(had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)))
+        excess = self._excess(index)
+        if self._located(index):
+            more = had * min(_GROWTH_LOCATED, _SURE * excess**0.25)
+        else:
+            more = had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)
+        step = math.ceil(_STEPS * math.log2(max(1.0, more / self.estimator.again)))
+        return math.ceil(self.estimator.again * 2 ** (step / _STEPS))
 
-    def _round(self, asked: int, active: Sequence[int]) -> Round:
-        """The next round, of at most `asked` evaluations a pixel and with all its points under the cap."""
+    def _round(self, asked: int, active: Sequence[Cell], most: int) -> Round:
+        """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap.
+
+        Under a tolerance an estimator may take up to `most` where it pays.
+        """
         left = int(self.spp * self.task.screen.height * self.task.screen.width - self._spent)
         if self.allocated and (self.number or self._known is not None):
             assert isinstance(self.estimator, Pixelwise)
             inside = torch.zeros(self.task.screen.height, self.task.screen.width, dtype=torch.bool, device=self.task.device)
-            for index in active:
-                inside[self.cells[index].window] = True
+            for cell in active:
+                inside[cell.window] = True
             pixels = int(inside.sum())
             total = left if left < (asked + 1) * pixels else asked * pixels
             counts, self.predicted_optimum = shared_out(self.estimator.allocation, self._picture, inside, total, self._floor)
             return PixelwiseRound(self.estimator, self.task, total / pixels, self.number, counts)
         while True:
-            current = self.estimator.round(self.task, asked, self.number)
+            if self.tolerance is None or most < asked:
+                current = self.estimator.round(self.task, asked, self.number)
+            else:
+                current = self.estimator.round_within(self.task, asked, self.number, most)
             # a cut pattern can hold more than its share
-            if asked == self.estimator.fewest or sum(current.points(self.cells[index]) for index in active) <= left:
+            if asked == self.estimator.fewest or sum(current.points(cell) for cell in active) <= left:
                 return current
             asked -= 1
 
@@ -161,17 +215,31 @@ class Rounds:
         cell = self.cells[index]
         if self._picture is None:
             self._picture = blank(self.task, len(new.value), new.diagnostics is not None)
+        window = (slice(None), *cell.window)
+        if new.model is not None:
+            points = float(new.points.to(torch.float64).mean())
+        replicated = new.diagnostics is None and new.value[0].numel() >= MANY and self.tolerance is not None
+        latest = self._latest.get(index)
+        if latest is not None and latest.outgrows(new.value, self._picture.value[window]):
+            self._picture.value[window], self._picture.variance[window] = latest.found.value, latest.found.variance
+            self.weights[index], self._kept[index] = latest.weight, latest.points
+            if latest.found.unseen is not None:
+                self.unseen[index] = latest.found.unseen
+        old, had = self.weights[index], self._kept[index]
         weight = points**1.5
         if new.model is not None and new.value[0].numel() >= MANY:
             told = new.variance[new.variance.isfinite()].to(torch.float64)
             weight = 1 / max(1e-300, float(told.mean())) if len(told) else 1e-300
-        old = self.weights[index]
+            if had and not self._located(index):
+                # a finer lattice that sees more than those before it has met what they missed
+                weight = max(weight, old * (points / had) ** 1.5)
         combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
         share: float | Tensor | None = weight / (old + weight)
         if old == 0 or combine == "discard_pilot":
             share = None
         elif combine == "pooled":
             share = new.points / (new.points + self._picture.points[cell.window])
+        difference = new.value - self._picture.value[window]
         add(self._picture, cell, new, share, self.task.integrand.nonfinite == "propagate")
         if new.heavy is not None:
             self.heavy.append((cell, new.heavy))
@@ -181,17 +249,32 @@ class Rounds:
                 self.unseen[index] = before * (1 - share) ** 2 + new.unseen * share**2
             else:
                 self.unseen[index] = new.unseen
+        if share is not None and replicated:
+            floor = self.unseen.get(index, 0.0)
+            reported = (self._picture.variance[window] - floor).clamp_min(0)
+            self._picture.variance[window] = agreed(difference, reported, points**1.5 / (had**1.5 + points**1.5)) + floor
         if new.model is not None:
             if self.model is None:
                 self.model = torch.zeros_like(self._picture.points, dtype=torch.uint8)
             self.model[cell.window] = new.model
         self.weights[index] = old + weight
         self.sizes[index] += points
+        self._kept[index] += points
+        if replicated:
+            self._latest[index] = Latest(new, points, weight)
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
+        return self._excess(index) <= 1
+
+    def _excess(self, index: int) -> float:
+        """A cell's largest variance in parts of what is allowed, where it is told by two shifts at a few pixels with Student's quantile."""
         assert self.tolerance is not None
-        return self.tolerance.excess(*self._seen(index)) <= 1
+        excess = self.tolerance.excess(*self._seen(index))
+        return _FEW_SHIFTS**2 * excess if self._located(index) else excess
+
+    def _located(self, index: int) -> bool:
+        return self.model is not None and self.estimator.locates(self.model[self.cells[index].window])
 
     def _seen(self, index: int) -> tuple[Tensor, Tensor]:
         """A cell's values, and their variances without the floor for the unseen, which no number of samples would end."""

@@ -18,7 +18,7 @@ from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
-from torch_mcaa.estimators.parts import MODELS, Part, Parts
+from torch_mcaa.estimators.parts import MODELS, Part, Parts, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.filters import SeparableFilter
@@ -70,6 +70,9 @@ class Auto(Estimator):
     def models(self) -> tuple[str, ...]:
         return MODELS
 
+    def locates(self, model: Tensor) -> bool:
+        return located(model)
+
     def check(self, task: Task) -> None:
         Shared().check(task)
 
@@ -88,6 +91,11 @@ class Auto(Estimator):
             return Shared().round(task, spp, number)
         return AutoRound(task, spp, number)
 
+    def round_within(self, task: Task, spp: int, number: int, most: int) -> Round:
+        if spp < _FEWEST or not _can_locate(task):
+            return self.round(task, spp, number)
+        return AutoRound(task, spp, number, most=most)
+
 
 def _can_locate(task: Task) -> bool:
     """Whether the mean of the lines is good once jumps are located: w must go to 0 at its sides, or those are ends that lines just miss or meet."""
@@ -99,10 +107,14 @@ def _can_locate(task: Task) -> bool:
 
 
 class AutoRound(Round):
-    """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part."""
+    """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part.
 
-    def __init__(self, task: Task, spp: int, number: int, plain: bool = True) -> None:
+    Blocks whose jumps could not be located with `spp` evaluations a pixel have up to `most`.
+    """
+
+    def __init__(self, task: Task, spp: int, number: int, plain: bool = True, most: int | None = None) -> None:
         self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
+        self.most = most
         self.per_pixel = float(spp)
 
     def points(self, cell: Cell) -> int:
@@ -112,22 +124,24 @@ class AutoRound(Round):
         pixels = cell.height * cell.width
         ask = self.parts.ask(cell, self.spp * pixels)
         if pixels < _FEW:
-            return _joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
+            return self.parts.joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
         self.parts.random = is_random(ask, self.parts.seed)
         try:
             judged, texture, spread = self._pilot(cell, ask)
         except Spent:
             part = self.parts.sampled(cell, ask.left // pixels, ask.left)
-            return _joined(cell, [(cell, part)], ask).estimate()
+            return self.parts.joined(cell, [(cell, part)], ask).estimate()
         audits = 0 if self.plain else pixels
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
-        plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second)
+        plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second, self.most or 0)
         jumping = _jumping(cell, judged)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
         reserved = sum(plan.cost for plan in plain)
+        if self.most is not None:
+            left = max(left, min(left + (self.most - self.spp) * pixels, int(_MARGIN * expected + reserved)))
         done: list[tuple[Cell, Part]] = []
         for plan in located:
             budget = int(
@@ -136,15 +150,8 @@ class AutoRound(Round):
             part = self.parts.located(plan.cell, plan.lines, budget, plan.steps, jumping[blocks_in(cell, plan.cell)])
             done.append((plan.cell, part))
             left, expected = left - part.spent, expected - plan.cost
-        # half in equal shares, half by Neyman's allocation, the spread of neighbouring samples in the place of the standard deviation
-        pixels = sum(plan.cell.height * plan.cell.width for plan in plain)
-        mean = sum(plan.spread * plan.cell.height * plan.cell.width for plan in plain) / max(1, pixels)
-        counts = [max(1, int(left / pixels * (1 + plan.spread / mean) / 2)) for plan in plain]
-        for plan, count in zip(plain, counts, strict=True):
-            part = self.parts.sampled(plan.cell, count, left)
-            done.append((plan.cell, part))
-            left -= part.spent
-        return _joined(cell, done, ask).estimate()
+        part = self.parts.joined(cell, done, ask)
+        return self.parts.sampled_further(part, cell, spread, left, None if self.most is None else self.spp).estimate()
 
     def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor]:
         """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples."""
@@ -185,25 +192,3 @@ def _about(cell: Cell, segments: Segments) -> Segments:
     row, col = segments.key[:, 1], segments.key[:, 2]
     inside = (row >= cell.row - 1) & (row <= cell.row + cell.height) & (col >= cell.col - 1) & (col <= cell.col + cell.width)
     return segments.take(inside)
-
-
-def _joined(cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
-    """The parts of a cell as one, with the evaluations of the pilot."""
-    first = parts[0][1]
-    shape = len(first.value), cell.height, cell.width
-    value, variance = (first.value.new_empty(shape) for _ in range(2))
-    points, invalid, model = pilot.points.clone(), pilot.invalid.clone(), torch.zeros_like(pilot.points)
-    density = torch.zeros(cell.height, cell.width, dtype=torch.float64, device=value.device)
-    heavy = None
-    for where, part in parts:
-        rows = slice(where.row - cell.row, where.row - cell.row + where.height)
-        cols = slice(where.col - cell.col, where.col - cell.col + where.width)
-        value[:, rows, cols], variance[:, rows, cols] = part.value, part.variance
-        points[rows, cols] += part.points
-        invalid[rows, cols] += part.invalid
-        model[rows, cols], density[rows, cols] = part.model.to(model), part.density
-        if part.heavy is not None:
-            if heavy is None:
-                heavy = torch.zeros(shape, dtype=torch.bool, device=value.device)
-            heavy[:, rows, cols] = part.heavy
-    return Part(value, variance, points, invalid, heavy, model, first.density if len(parts) == 1 else density)

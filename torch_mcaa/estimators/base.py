@@ -113,6 +113,10 @@ class Estimator(ABC):
         """The names of what it may use in a pixel."""
         return (repr(self),)
 
+    def locates(self, model: Tensor) -> bool:
+        """Whether jumps were located in any of the pixels that `model` (h, w) is of."""
+        return False
+
     def bias(self, task: Task) -> tuple[str, ...]:
         """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
         return ()
@@ -124,6 +128,10 @@ class Estimator(ABC):
     @abstractmethod
     def round(self, task: Task, spp: int, number: int) -> Round:
         """Round `number` (0, 1, ...) with at most `spp` >= `fewest` evaluations a pixel; rounds are independent of one another."""
+
+    def round_within(self, task: Task, spp: int, number: int, most: int) -> Round:
+        """A round where evaluations may be spent unevenly, as under a tolerance: parts that pay for it have up to `most` a pixel."""
+        return self.round(task, spp, number)
 
 
 def pooled(variance: Tensor) -> Tensor:

@@ -12,15 +12,6 @@ BLOCK = 32
 """Px: the side of a block."""
 
 
-def windows_of(cell: Cell) -> list[tuple[slice, slice]]:
-    """The blocks of a cell, row by row: the slices that cut them out of its planes."""
-    return [
-        (slice(row, min(row + BLOCK, cell.height)), slice(col, min(col + BLOCK, cell.width)))
-        for row in range(0, cell.height, BLOCK)
-        for col in range(0, cell.width, BLOCK)
-    ]
-
-
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     """The block of the cell (S,), counted row by row, that each segment begins in, or the one that is nearest."""
     x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from torch import Tensor
+
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.auto import AutoRound
 from torch_mcaa.estimators.base import Estimator, Round, Task
-from torch_mcaa.estimators.parts import MODELS
+from torch_mcaa.estimators.parts import MODELS, located
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.patterns import Lattice
 
@@ -49,6 +51,9 @@ class JumpCorrected(Estimator):
     @property
     def models(self) -> tuple[str, ...]:
         return MODELS
+
+    def locates(self, model: Tensor) -> bool:
+        return located(model)
 
     def check(self, task: Task) -> None:
         if not isinstance(task.filter, SeparableFilter) or math.isinf(task.filter.half_width):

@@ -13,7 +13,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
-from torch_mcaa.estimators.blocks import BLOCK, windows_of
+from torch_mcaa.estimators.blocks import BLOCK
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.shared_lattice import LatticeRound
@@ -31,6 +31,11 @@ _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
+
+
+def located(model: Tensor) -> bool:
+    """Whether jumps were located in any pixel."""
+    return bool(((model == LOCATED) | (model == FINER)).any())
 
 
 def lines_for(spp: float) -> int:
@@ -150,8 +155,7 @@ class Parts:
             if result.variance is not None:
                 variance[:, *at] = result.variance[:, kept].to(task.dtype)
             model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
-        part = Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count)
-        return self._sampled_further(cell, part, count, near, ask.left)
+        return Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count)
 
     def _lattice(self, spp: int, lines: bool) -> LatticeRound:
         if (spp, lines) not in self._lattices:
@@ -185,33 +189,77 @@ class Parts:
             allowed &= ((rows >= halo) & (rows < height - halo))[:, None] & (cols >= halo) & (cols < width - halo)
         return allowed
 
-    def _sampled_further(self, cell: Cell, part: Part, count: int, near: Tensor, left: int) -> Part:
-        """More samples than the `count` a pixel in the blocks whose pixels were not corrected, unless they are known well enough."""
-        value, variance, points, invalid, model = part.value, part.variance, part.points, part.invalid, part.model
+    def joined(self, cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
+        """Parts of a cell as one, with the evaluations of the pilot; what is in none of them has no samples, and a variance of +inf."""
+        shape = self.task.integrand.channels, cell.height, cell.width
+        plane = torch.zeros(shape, dtype=self.task.dtype, device=self.task.device)
+        value, variance, heavy = plane, torch.full_like(plane, torch.inf), torch.zeros_like(plane, dtype=torch.bool)
+        points, invalid, model = pilot.points.clone(), pilot.invalid.clone(), torch.zeros_like(plane[0], dtype=torch.uint8)
+        density = torch.zeros_like(plane[0], dtype=torch.float64)
+        for where, part in parts:
+            at = where.within(cell)
+            value[:, *at], variance[:, *at] = part.value, part.variance
+            points[at] += part.points
+            invalid[at] += part.invalid
+            model[at], density[at] = part.model, part.density
+            if part.heavy is not None:
+                heavy[:, *at] = part.heavy
+        return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density)
+
+    def sampled_further(self, part: Part, cell: Cell, spread: Tensor, left: int, most: int | None) -> Part:
+        """More samples, of the `left` evaluations, in the blocks with pixels whose jumps were not located and that are not known well enough.
+
+        With what they have had, half in equal shares and half by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
+        place of the standard deviation; at most `most` a pixel on average.
+        """
+        value, variance, free = part.value, part.variance, part.model == PLAIN
         finite = value.nan_to_num(0.0, 0.0, 0.0)
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
         known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
-        poor = (variance.sqrt() > known).any(0) & ~near
-        some = torch.nn.functional.max_pool2d(poor[None].to(torch.float32), BLOCK, BLOCK, ceil_mode=True)[0].flatten().tolist()
-        blocks = [window for window, any_ in zip(windows_of(cell), some, strict=True) if any_]
-        rest = left // max(1, sum(poor[window].numel() for window in blocks))
-        if not blocks or rest < 1:
-            return part
-        if len(blocks) * BLOCK * BLOCK >= cell.height * cell.width:
-            blocks = [(slice(0, cell.height), slice(0, cell.width))]
-        for rows, cols in blocks:
-            here = Cell(cell.row + rows.start, cell.col + cols.start, rows.stop - rows.start, cols.stop - cols.start)
-            more = self.sampled(here, rest, left)
+        poor = (variance.sqrt() > known).any(0) & free
+        some = torch.nn.functional.max_pool2d(poor[None].to(torch.float32), BLOCK, BLOCK, ceil_mode=True)[0].flatten()
+        density = torch.as_tensor(part.density).expand(cell.height, cell.width)
+        labels = ((1 + density[::BLOCK, ::BLOCK].flatten()) * some).long().tolist()
+        # rectangle, what it has had a pixel, its spread
+        poorest = [
+            (where, labels[inside[0]] - 1, float(spread[inside].mean()))
+            for where, inside in cell.rectangles(BLOCK, labels)
+            if labels[inside[0]]
+        ]
+        heavy = torch.zeros_like(value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
+        density = density.clone()
+        for where, had, count in _counts(poorest, left, most):
+            at = where.within(cell)
+            more, here = self.sampled(where, count, left), free[at]
             left -= more.spent
-            at = (slice(None), rows, cols)
-            free = ~near[rows, cols]
-            share = free * _share(variance[at] * free, count, more.variance * free, rest)
-            value[at] += (more.value - value[at]) * share
-            variance[at] = variance[at] * (1 - share) ** 2 + more.variance * share**2
-            points[rows, cols] += more.points
-            invalid[rows, cols] += more.invalid
-            model[rows, cols] = torch.where(free, SAMPLED, model[rows, cols])
-        return Part(value, variance, points, invalid, part.heavy, model, part.density)
+            if had:
+                share = here * _share(variance[:, *at] * here, had, more.variance * here, count)
+                value[:, *at] += (more.value - value[:, *at]) * share
+                variance[:, *at] = variance[:, *at] * (1 - share) ** 2 + more.variance * share**2
+            else:
+                value[:, *at], variance[:, *at] = more.value, more.variance
+            part.points[at] += more.points
+            part.invalid[at] += more.invalid
+            part.model[at] = torch.where(here, SAMPLED, part.model[at])
+            density[at] += here * count
+            if more.heavy is not None:
+                heavy[:, *at] |= more.heavy & here
+        return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density)
+
+
+def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, int]]:
+    """Of parts (cell, what it has had a pixel, spread) those that are given more, and how many evaluations a pixel."""
+    while parts:
+        pixels = [where.height * where.width for where, _, _ in parts]
+        total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))
+        each = (left + had) / total if most is None else min(most, (left + had) / total)
+        mean = sum(n * spread for n, (_, _, spread) in zip(pixels, parts, strict=True)) / total
+        counts = [int(each * (1 + spread / mean) / 2 - had) for _, had, spread in parts]
+        enough = [had > 0 and count < 1 for (_, had, _), count in zip(parts, counts, strict=True)]
+        if not any(enough):
+            return [(where, had, max(1, count)) for (where, had, _), count in zip(parts, counts, strict=True)]
+        parts = [part for part, done in zip(parts, enough, strict=True) if not done]
+    return []
 
 
 def _share(first: Tensor, had: float, second: Tensor, more: int) -> float:

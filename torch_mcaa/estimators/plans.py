@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
-from torch_mcaa.estimators.blocks import BLOCK, windows_of
+from torch_mcaa.estimators.blocks import BLOCK
 from torch_mcaa.estimators.jump_corrector import STEPS
 from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
@@ -45,25 +45,34 @@ class Plan:
     spread: float
 
 
-def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget: int, plain: bool, second: int) -> list[Plan]:
+def plans_of(
+    cell: Cell,
+    judged: Judged,
+    texture: Tensor,
+    spread: Tensor,
+    budget: int,
+    plain: bool,
+    second: int,
+    ample: int = 0,
+) -> list[Plan]:
     """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
 
-    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise.
+    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
+    `ample` evaluations a pixel if they need them for three lines.
     """
-    windows = windows_of(cell)
-    pixels = torch.tensor([(rows.stop - rows.start) * (cols.stop - cols.start) for rows, cols in windows], dtype=torch.float64)
+    pixels = torch.tensor([block.height * block.width for block in cell.blocks(BLOCK)], dtype=torch.float64)
     spp = budget / float(pixels.sum())
     most = lines_for(spp)
     quiet = _quiet(cell, judged.verdict) & ~texture if plain else judged.verdict != Verdict.JUMPS
     share = spp * pixels
     steps = STEPS[0]
-    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
+    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
     for fewer in STEPS[1:]:
         busy = lines[judged.verdict == Verdict.JUMPS]
         if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, most):
             break
         steps = fewer
-        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second)
+        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
     labels = [int(count) for count in lines]
     return [
         Plan(
@@ -73,12 +82,12 @@ def plans_of(cell: Cell, judged: Judged, texture: Tensor, spread: Tensor, budget
             sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
             float(spread[inside].mean()),
         )
-        for part, inside in _rectangles(cell, labels)
+        for part, inside in cell.rectangles(BLOCK, labels)
     ]
 
 
 def _lines(
-    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int
+    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int, ample: int
 ) -> tuple[Tensor, Tensor]:
     """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, and the evaluations for each of them.
 
@@ -95,6 +104,7 @@ def _lines(
     if not plain:
         count = max(_FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
         return torch.full_like(quiet, count - 1 + count % 2, dtype=torch.int64), torch.where(jumps, cost, pixels)
+    share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, _FEWEST_LINES / _SAFE * cost)), share)
     dear = _FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
     busy = jumps & (_FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
     while bool(busy.any()):
@@ -116,33 +126,3 @@ def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
     other = ((verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)).view(1, *size).to(torch.float32)
     beside = torch.nn.functional.max_pool2d(other, 3, 1, 1).flatten() > 0
     return (verdict == Verdict.NONE) & ~beside
-
-
-def _rectangles(cell: Cell, labels: list[int]) -> list[tuple[Cell, list[int]]]:
-    """Rectangles of blocks of one label: the part of the cell, and its blocks."""
-    wide = -(-cell.width // BLOCK)
-    # first row, rows, first column, columns, in blocks
-    merged: list[tuple[int, int, int, int]] = []
-    for row in range(len(labels) // wide):
-        start = 0
-        for col in range(wide):
-            here = row * wide + start
-            if col + 1 < wide and labels[here + col + 1 - start] == labels[here]:
-                continue
-            width = col + 1 - start
-            above = next((m for m in merged if m[0] + m[1] == row and m[2:] == (start, width)), None)
-            if above is not None and labels[above[0] * wide + start] == labels[here]:
-                merged[merged.index(above)] = (above[0], above[1] + 1, start, width)
-            else:
-                merged.append((row, 1, start, width))
-            start = col + 1
-    found = []
-    for row, height, col, width in merged:
-        part = Cell(
-            cell.row + row * BLOCK,
-            cell.col + col * BLOCK,
-            min(height * BLOCK, cell.height - row * BLOCK),
-            min(width * BLOCK, cell.width - col * BLOCK),
-        )
-        found.append((part, [(row + i) * wide + col + j for i in range(height) for j in range(width)]))
-    return found

@@ -42,7 +42,9 @@ class SharedPointsRound(Round):
         heavy = poles.heavy(lambda i, j, channel: (values[channel, j, i], row[j, i], col[j, i]))
         counted = (inside if task.boundary == "renormalize" else torch.ones_like(inside)).to(task.dtype)
         kept = torch.ones_like(counted) if bad is None else (~bad).to(task.dtype)
-        u, v = u.to(task.dtype), v.to(task.dtype)
+        # the last of the places in float64 would be 1 in float32, in no cell of a net
+        below_one = 1 - torch.finfo(task.dtype).eps / 2
+        u, v = (place.to(task.dtype).clamp_(max=below_one) for place in (u, v))
 
         def taps():
             for dy in range(2 * reach + 1):
