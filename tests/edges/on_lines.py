@@ -95,6 +95,7 @@ def segments(
         start % 1,
         torch.stack([index, index, index], 1),
         torch.zeros(count, dtype=torch.bool),
+        torch.zeros(count, dtype=torch.int64),
     )
 
 

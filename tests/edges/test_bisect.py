@@ -149,6 +149,7 @@ def test_a_channel_that_does_not_stand_out_is_not_followed_but_jumps_along() -> 
         two.phase,
         two.key,
         two.single,
+        two.quiet,
     )
     ask = Ask(lambda x, y: torch.stack([step(x > 10.4), 4 * step(x > 10.4) + step(x > 10.2)]))
     both.after[1] = 5

@@ -34,6 +34,7 @@ class Segments:
         phase: (S,) where on the line its samples lie, modulo 1.
         key: int64 (S, 3), line, row and column: what random numbers hang on.
         single: bool (S,), one sample alone is between this segment and a next: perhaps a thin piece.
+        quiet: (S,) -1 or 1, the side on which the next segment shows no jump, 0 where there is none.
     """
 
     axis: int
@@ -46,6 +47,7 @@ class Segments:
     phase: Tensor
     key: Tensor
     single: Tensor
+    quiet: Tensor
 
     def __len__(self) -> int:
         return len(self.across)
@@ -106,13 +108,15 @@ def candidates(samples: Samples, axis: int) -> Segments:
     least[channel, owner] = threshold(after - before)[channel, owner]
     # what lies beyond the samples may be the other end of a thin piece; the tail of a steep step is none
     near = differences.beside(flat, torch.tensor([-1, 1], device=size.device))
-    beside = size[:, near.clamp_min(0)].masked_fill(near < 0, torch.inf).amax(2)
+    beside = size[:, near.clamp_min(0)].masked_fill(near < 0, torch.inf)
     own = size[:, flat]
-    single = ((own > 0) & (beside > _FOLLOWED * own)).any(0)
+    single = ((own > 0) & (beside.amax(2) > _FOLLOWED * own)).any(0)
+    still = (beside == 0).all(0)
+    quiet = torch.where(still[:, 0], -1, still[:, 1].long())
     line, row, col = differences.place(flat)
     row, col = row + samples.row, col + samples.col
     x, y = samples.x[line] + col, samples.y[line] + row
     low, across = (x, y) if axis == 0 else (y, x)
     phase = (samples.x if axis == 0 else samples.y)[line]
     key = torch.stack([line, row, col], 1)
-    return Segments(axis, across, low, low + 1, before, after, least, phase, key, single)
+    return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet)

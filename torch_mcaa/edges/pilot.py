@@ -19,7 +19,7 @@ _STEEP = 1 / 4
 """Px: a continuous step no wider than this is treated as a jump, or several."""
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
-_FEW, _MISPREDICTED = 0.05, 0.2
+_FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.1
 
 
 class Verdict(IntEnum):
@@ -52,30 +52,39 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     """Judge each part of the screen: at most `most` candidates of it are bisected eight times.
 
     Then f is foretold at one fresh random place in each from the jumps found. Fewer than 5 % of the candidates with a jump: f is
-    continuous. More than 20 % foretold wrong: noise, which always "has a jump" in one half, so that counting jumps cannot tell.
+    continuous. More than 20 % foretold wrong: noise, which always "has a jump" in one half, so that counting jumps cannot tell. More than
+    10 % of those foretold wrong that lie in the next segment, where no jump was seen: detail finer than the samples, which is noise too.
 
     Args:
         part: for each axis the part (S,) of its segments.
     """
     tried = torch.zeros(parts, dtype=torch.int64, device=part[0].device)
-    change, jumped, wrong = (torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(3))
+    change, jumped, wrong, beside, unseen = (torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(5))
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
     if any(len(look.where) for look in looks):
         bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
-        x, y = zip(*(placed(look.some.axis, look.place, look.some.across) for look in looks), strict=True)
-        values = ask(torch.cat(x), torch.cat(y)).split([len(look.where) for look in looks], 1)
-        for look, crossings, value in zip(looks, bisected, values, strict=True):
+        x, y = zip(*(placed(look.some.axis, *look.asked) for look in looks), strict=True)
+        values = ask(torch.cat(x), torch.cat(y)).split([2 * len(look.where) for look in looks], 1)
+        for look, crossings, both in zip(looks, bisected, values, strict=True):
+            value, next_ = both.split(len(look.where), 1) if both.shape[1] else (both, both)
             where, has = look.where, look.jumped(crossings, parts)
             lines += look.lines(crossings, parts)
             tried += torch.bincount(where, minlength=parts)
             # the foot of a smooth step looks like a jump to a candidate that sees no more of it: each counts by its change
             size = look.size.to(torch.float64)
-            for total, seen in ((change, size), (jumped, size * has), (wrong, size * (has & look.mistold(crossings, value)))):
+            wrongly, still = has & look.mistold(crossings, value), has & (look.some.quiet != 0)
+            for total, seen in (
+                (change, size),
+                (jumped, size * has),
+                (wrong, size * wrongly),
+                (beside, size * still),
+                (unseen, size * (still & look.surprised(next_))),
+            ):
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
-    verdict[wrong > _MISPREDICTED * jumped] = Verdict.NOISE
+    verdict[(wrong > _MISPREDICTED * jumped) | (unseen > _UNSEEN * beside)] = Verdict.NOISE
     verdict[jumped < _FEW * change] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
     return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
@@ -83,11 +92,15 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
 
 @dataclass(frozen=True)
 class _Look:
-    """Some segments along one axis, the part each lies `where` and a random place in it; `hits` (parts,), how many thin pieces samples hit."""
+    """Some segments along one axis, the part each lies `where`, a random place in it, and one `beside` it in the next on its quiet side.
+
+    `hits` (parts,), how many thin pieces samples hit.
+    """
 
     some: Segments
     where: Tensor
     place: Tensor
+    beside: Tensor
     hits: Tensor
 
     @classmethod
@@ -100,8 +113,14 @@ class _Look:
         rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[where[order]]
         chosen = order[rank < most]
         some = segments.take(chosen)
-        along = rng.uniform(seed, _PILOT, some.axis, 1, some.stream, dtype=torch.float64)
-        return cls(some, where[chosen], some.low + along * (some.high - some.low), hits)
+        one, two = (rng.uniform(seed, _PILOT, some.axis, key, some.stream, dtype=torch.float64) for key in (1, 2))
+        length = some.high - some.low
+        return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, hits)
+
+    @property
+    def asked(self) -> tuple[Tensor, Tensor]:
+        """The random places, and then those beside: along the lines, and the lines."""
+        return torch.cat([self.place, self.beside]), self.some.across.repeat(2)
 
     @property
     def size(self) -> Tensor:
@@ -125,6 +144,10 @@ class _Look:
         where = self.where[crossings.segment[thin]]
         known, total = torch.bincount(where, minlength=parts), torch.bincount(where, weights=end[thin], minlength=parts)
         return self.hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1)
+
+    def surprised(self, value: Tensor) -> Tensor:
+        """Where f beside a segment is not what it is at the segment's end."""
+        return (value - torch.where(self.some.quiet < 0, self.some.before, self.some.after)).abs().amax(0) > 0.35 * self.size
 
     def mistold(self, crossings: Crossings, value: Tensor) -> Tensor:
         """Where f at the random place is not what the jumps before it tell."""

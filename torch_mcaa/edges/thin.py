@@ -123,6 +123,7 @@ def _opened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed:
         grid.phase(line),
         key,
         line >= 0,
+        torch.zeros_like(line),
     )
     return joined([crossings, bisect(ask, segments, finest, seed)])
 
@@ -268,6 +269,7 @@ class _Walk:
             self.grid.phase(lines),
             torch.stack([lines, (low * 2**20).long(), torch.zeros_like(lines)], 1),
             lines >= 0,
+            torch.zeros_like(lines),
         )
         got = bisect(self.ask, segments, self.finest, self.seed)
         # one clear jump, or it is not the end of the piece
