@@ -85,18 +85,22 @@ def test_both_jumps_of_three_colours(jumps: tuple[float, float]) -> None:
         assert float((found.jump[0, k::2] - jumps[k]).abs().max()) < 1e-12
 
 
-def test_a_small_jump_beside_a_large_one_is_left_to_the_samples() -> None:
-    """A tenth of the change is less than what is followed, and less than what may be missed: the large jump is found alone."""
+def test_a_small_jump_beside_a_large_one_is_found_to_a_sixteenth() -> None:
+    """A tenth of the change is less than what is followed to the end; a hundredth is less than what is followed at all."""
     found = bisect(Ask(lambda x, y: 0.1 * step(x > 10.2) + 0.9 * step(x > 10.7)), segments([10.0], [0.0], [1.0]), FINEST, 4)
-    assert len(found) == 1 and float(found.jump) == pytest.approx(0.9, abs=1e-15)
+    assert found.jump[0].tolist() == pytest.approx([0.1, 0.9], abs=1e-15)
+    assert abs(float(found.place[0]) - 10.2) <= float(found.width[0]) / 2 <= 1 / 32
+    assert abs(float(found.place[1]) - 10.7) <= FINEST / 2
+    found = bisect(Ask(lambda x, y: 0.01 * step(x > 10.2) + 0.99 * step(x > 10.7)), segments([10.0], [0.0], [1.0]), FINEST, 4)
+    assert len(found) == 1 and float(found.jump) == pytest.approx(0.99, abs=1e-15)
 
 
 @pytest.mark.parametrize("width", [0.65, 0.8, 1.0])
 def test_a_ramp_is_no_jump(width: float) -> None:
-    """Parts of a ramp that hold less than a fifth of it are no longer followed; those of 0.65 px are an eighth of a pixel then: smooth."""
+    """Parts of a ramp are followed to 1/16 px; those of more than 0.4 px in all are no steps."""
     ask = Ask(lambda x, y: ((x - 10.5) / width + 0.5).clamp(0, 1))
     assert len(bisect(ask, segments([10.0] * 20, [0.0] * 20, [1.0] * 20), FINEST, 5)) == 0
-    assert ask.count <= 20 * 9  # quarters, halves of three or four of them, and halves of a few more
+    assert ask.count <= 20 * 19  # three quarters' places, sixteenths, and no more
 
 
 @pytest.mark.parametrize("width", [0.001, 0.01, 0.03, 0.1])
@@ -121,17 +125,14 @@ def test_a_short_ramp_is_several_steps_that_add_up(width: float) -> None:
     assert bool((found.jump > 0).all())
 
 
-@pytest.mark.xfail(
-    reason="a part wider than 1/16 px with less than a fifth of the change is dropped, though the rest of the step is beside it"
-)
-def test_a_steep_step_loses_nothing_where_a_quarter_ends_in_it() -> None:
-    """A ramp of 0.01 px anywhere in the segment: 0.1 % of its change is more than may be missing."""
+def test_a_steep_step_loses_next_to_nothing_where_a_quarter_ends_in_it() -> None:
+    """A ramp of 0.01 px anywhere in the segment: parts with a fiftieth of its change are smooth, one on either side at most."""
     count = 2000
     t = 0.1 + 0.8 * places(count, 16)
     ask = Ask(lambda x, y: ((x - 10 - t[y.long()]) / 0.01 + 0.5).clamp(0, 1))
     found = bisect(ask, segments([10.0] * count, [0.0] * count, [1.0] * count), FINEST, 7)
     total = torch.zeros(count, dtype=torch.float64).index_add(0, found.segment, found.jump[0])
-    assert float((1 - total).abs().max()) < 1e-3
+    assert float((1 - total).abs().max()) < 0.04
 
 
 def test_a_channel_that_does_not_stand_out_is_not_followed_but_jumps_along() -> None:

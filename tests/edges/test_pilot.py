@@ -87,17 +87,17 @@ def test_noise_of_all_values_is_not_taken_for_jumps() -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_look_is_bounded(name: str) -> None:
-    """At most 24 candidates: quarters and a fresh place are 4 evaluations, each piece followed from 1/4 px to 2^-8 px takes 7 at most.
+    """At most 24 candidates: quarters and two fresh places are 5 evaluations, each piece followed from 1/4 px to 2^-8 px takes 7 at most.
 
     Up to eight pieces are followed for one candidate, in noise; an edge has one.
     """
     f, verdict = CASES[name]
     count = judged(f)[1].count
-    assert count <= MOST * (4 + 7 * 8)
+    assert count <= MOST * (5 + 7 * 8)
     if verdict == Verdict.NONE:
         assert count == 0 or name == "waves"
     if name in ("edge", "edge in colour", "edge on a ramp", "disc"):
-        assert count <= MOST * (4 + 7)
+        assert count <= MOST * (5 + 7)
 
 
 def test_each_part_is_judged_by_its_own_candidates() -> None:
@@ -156,3 +156,11 @@ def test_a_steep_sigmoid_has_no_thin_pieces() -> None:
     result, _, _ = judged(CASES["sigmoid of 0.01 px"][0])
     assert float(result.lines) == 0
     assert int(result.crossings[0]) == SIZE
+
+
+def test_detail_beside_a_candidate_that_the_samples_do_not_show_is_noise() -> None:
+    """Stripes of 0.09 px every 0.35 px: a fourth of the places beside a candidate are in another one; one stripe alone has none beside it."""
+    stripes, one = (lambda x, y: step(((x + 0.3 * y) / 0.35) % 1 < 0.25)), (lambda x, y: step((x + 0.3 * y - 9).abs() < 0.05))
+    shift = 0.3, 0.2
+    assert [Verdict(int(judged(stripes, seed, shift)[0].verdict)) for seed in range(10)] == [Verdict.NOISE] * 10
+    assert [Verdict(int(judged(one, seed, shift)[0].verdict)) for seed in range(10)] == [Verdict.JUMPS] * 10

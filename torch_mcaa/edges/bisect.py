@@ -23,6 +23,8 @@ _MISSED = 0.25
 """The share of a segment's change that may lie outside the jumps found in it."""
 _QUARTERED = 1 / 16
 """Px: wider segments begin with quarters."""
+_SMOOTH = 0.4
+"""Px: a segment that changes over more than this is smooth, and left to the samples."""
 _MOST = 8
 """A segment with more pieces than this is not a few jumps: it is given up."""
 
@@ -185,7 +187,7 @@ class _Bisection:
         before, after = (torch.cat([part[k] for part in every], 1) for k in (3, 4))
         # a segment is at most 1 px long
         order = torch.argsort(4 * root + (low - self.low[root]))
-        order = order[self._whole(root, after - before)[root[order]]]
+        order = order[self._whole(root, after - before, high - low)[root[order]]]
         root, low, high, before, after = root[order], low[order], high[order], before[:, order], after[:, order]
         place, width, across, phase = (low + high) / 2, high - low, self.across[root], self.phase[root]
         sizes = torch.tensor([0, *(len(p) for p in self.parts)], device=root.device).cumsum(0)
@@ -197,8 +199,9 @@ class _Bisection:
             for k, (part, a, b) in enumerate(zip(self.parts, starts[:-1], starts[1:], strict=True))
         ]
 
-    def _whole(self, root: Tensor, jump: Tensor) -> Tensor:
+    def _whole(self, root: Tensor, jump: Tensor, width: Tensor) -> Tensor:
         """Which segments (S,) change by what was found in them; the others also change smoothly, or in too many places: they stay as they are."""
         change = self.after - self.before
         rest = change.index_add(1, root, jump, alpha=-1).abs()
-        return (rest <= _MISSED * change.abs().amax(0)).all(0)
+        steep = torch.zeros_like(self.low).index_add_(0, root, width) <= _SMOOTH
+        return (rest <= _MISSED * change.abs().amax(0)).all(0) & steep

@@ -19,7 +19,7 @@ _STEEP = 1 / 4
 """Px: a continuous step no wider than this is treated as a jump, or several."""
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
-_FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.1
+_FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
 
 
 class Verdict(IntEnum):

@@ -29,6 +29,7 @@ _FEWEST = 3
 """Lines."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
+_CLASSES = 3
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
@@ -219,10 +220,12 @@ class Parts:
         poor = (variance.sqrt() > known).any(0) & free
         some = torch.nn.functional.max_pool2d(poor[None].to(torch.float32), BLOCK, BLOCK, ceil_mode=True)[0].flatten()
         density = torch.as_tensor(part.density).expand(cell.height, cell.width)
-        labels = ((1 + density[::BLOCK, ::BLOCK].flatten()) * some).long().tolist()
+        # what a block has had, and, in steps of a factor of 4, how much f changes in it
+        steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg().to(some)
+        labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten()) * some).long().tolist()
         # rectangle, what it has had a pixel, its spread
         poorest = [
-            (where, labels[inside[0]] - 1, float(spread[inside].mean()))
+            (where, (labels[inside[0]] - 1) // (1 + _CLASSES), float(spread[inside].mean()))
             for where, inside in cell.rectangles(BLOCK, labels)
             if labels[inside[0]]
         ]
@@ -254,7 +257,7 @@ def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -
         total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))
         each = (left + had) / total if most is None else min(most, (left + had) / total)
         mean = sum(n * spread for n, (_, _, spread) in zip(pixels, parts, strict=True)) / total
-        counts = [int(each * (1 + spread / mean) / 2 - had) for _, had, spread in parts]
+        counts = [int(each * (1 + 2 * spread / mean) / 3 - had) for _, had, spread in parts]
         enough = [had > 0 and count < 1 for (_, had, _), count in zip(parts, counts, strict=True)]
         if not any(enough):
             return [(where, had, max(1, count)) for (where, had, _), count in zip(parts, counts, strict=True)]

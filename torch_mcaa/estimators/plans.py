@@ -15,6 +15,8 @@ from torch_mcaa.grid import Cell
 
 _FEWEST_LINES = 3
 _ENOUGH_LINES = 5
+_CALM_LINES = 7
+"""Of quiet blocks, where others are sampled plainly and can use what these leave: hairlines are still met by many."""
 _ALIKE = 0.6
 """The share of the most lines from which on quiet blocks have no more lines than those that jump."""
 _SAFE = 0.95
@@ -115,9 +117,10 @@ def _lines(
         if count >= min(_ENOUGH_LINES, most) or (count >= _FEWEST_LINES and not bool((busy & dear).any())):
             few = int(busy.sum()) < _SPARSE * int(jumps.sum())
             count = _FEWEST_LINES if few else count - 1 + count % 2
-            return torch.where(busy, count, torch.where(quiet, count if alike and not few else most, 0)), cost
+            calm = count if alike and not few else most if bool((busy | quiet).all()) else min(most, _CALM_LINES)
+            return torch.where(busy, count, torch.where(quiet, calm, 0)), cost
         busy[(cost * busy).argmax()] = False
-    return torch.where(quiet, most, 0), cost
+    return torch.where(quiet, most if bool(quiet.all()) else min(most, _CALM_LINES), 0), cost
 
 
 def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
