@@ -195,7 +195,7 @@ def _joined(cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
     value, variance = (first.value.new_empty(shape) for _ in range(2))
     points, invalid, model = pilot.points.clone(), pilot.invalid.clone(), torch.zeros_like(pilot.points)
     density = torch.zeros(cell.height, cell.width, dtype=torch.float64, device=value.device)
-    heavy = None
+    heavy = blind = None
     for where, part in parts:
         rows = slice(where.row - cell.row, where.row - cell.row + where.height)
         cols = slice(where.col - cell.col, where.col - cell.col + where.width)
@@ -207,4 +207,7 @@ def _joined(cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
             if heavy is None:
                 heavy = torch.zeros(shape, dtype=torch.bool, device=value.device)
             heavy[:, rows, cols] = part.heavy
-    return Part(value, variance, points, invalid, heavy, model, first.density if len(parts) == 1 else density)
+        if part.blind is not None:
+            blind = torch.zeros_like(variance) if blind is None else blind
+            blind[:, rows, cols] = part.blind
+    return Part(value, variance, points, invalid, heavy, model, first.density if len(parts) == 1 else density, blind)

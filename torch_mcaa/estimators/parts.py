@@ -57,6 +57,7 @@ class Part:
     heavy: Tensor | None
     model: Tensor
     density: float | Tensor
+    blind: Tensor | None = None
 
     @property
     def spent(self) -> int:
@@ -79,6 +80,7 @@ class Part:
             heavy=heavy,
             unseen=floor,
             model=self.model.to(torch.uint8),
+            blind=self.blind,
         )
 
 
@@ -111,7 +113,8 @@ class Parts:
         points = lattice.row_points(cell).to(found.value.device, torch.int64)[:, None].expand(cell.height, cell.width)
         model = torch.full((cell.height, cell.width), SAMPLED, dtype=torch.uint8, device=found.value.device)
         heavy = None if found.heavy is None else found.heavy[inner]
-        return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp)
+        blind = None if found.blind is None else found.blind[inner]
+        return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp, blind)
 
     def located(self, cell: Cell, count: int, budget: int, steps: int) -> Part:
         """A lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
@@ -149,7 +152,8 @@ class Parts:
         if result.variance is not None:
             variance = torch.where(near, result.variance.to(task.dtype), variance)
         model = torch.where(near, torch.where(result.fine, FINER, LOCATED), PLAIN)
-        part = Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count)
+        blind = None if found.blind is None else found.blind[inner] * ~near
+        part = Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count, blind)
         return self._sampled_further(cell, part, near, ask.left)
 
     def _lattice(self, spp: int, lines: bool) -> LatticeRound:
@@ -187,6 +191,7 @@ class Parts:
     def _sampled_further(self, cell: Cell, part: Part, near: Tensor, left: int) -> Part:
         """More samples in the blocks whose pixels were not corrected, unless they are known well enough."""
         value, variance, points, invalid, model = part.value, part.variance, part.points, part.invalid, part.model
+        blind = torch.zeros_like(variance) if part.blind is None else part.blind
         finite = value.nan_to_num(0.0, 0.0, 0.0)
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
         known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
@@ -206,10 +211,11 @@ class Parts:
             share = free * _share(variance[at] * free, part.density, more.variance * free, rest)
             value[at] += (more.value - value[at]) * share
             variance[at] = variance[at] * (1 - share) ** 2 + more.variance * share**2
+            blind[at] = blind[at] * (1 - share) ** 2 + (0 if more.blind is None else more.blind * share**2)
             points[rows, cols] += more.points
             invalid[rows, cols] += more.invalid
             model[rows, cols] = torch.where(free, SAMPLED, model[rows, cols])
-        return Part(value, variance, points, invalid, part.heavy, model, part.density)
+        return Part(value, variance, points, invalid, part.heavy, model, part.density, blind)
 
 
 def _share(first: Tensor, had: float | Tensor, second: Tensor, more: int) -> float:
