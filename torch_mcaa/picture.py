@@ -82,4 +82,4 @@ def part_of(new: Estimate, cell: Cell, inner: Cell) -> Estimate:
             *(plane[(..., *window)] for plane in (diagnostics.predicted, diagnostics.ess, diagnostics.pareto_k))
         )
     value, variance, points, invalid = (plane[(..., *window)] for plane in (new.value, new.variance, new.points, new.invalid))
-    return Estimate(value, variance, points, invalid, diagnostics, cut(new.heavy), cut(new.unseen), cut(new.model))
+    return Estimate(value, variance, points, invalid, diagnostics, cut(new.heavy), cut(new.unseen), cut(new.model), cut(new.blind))

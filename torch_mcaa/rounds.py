@@ -57,6 +57,7 @@ class Rounds:
     _picture: Estimate | None = field(default=None, init=False)
     _spent: float = field(default=0.0, init=False)
     _latest: dict[int, Latest] = field(default_factory=dict, init=False)
+    _blind: dict[int, Tensor | None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
@@ -164,7 +165,8 @@ class Rounds:
         else:
             more = had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)
         step = math.ceil(_STEPS * math.log2(max(1.0, more / self.estimator.again)))
-        return math.ceil(self.estimator.again * 2 ** (step / _STEPS))
+        # one more than the first round had: another lattice
+        return math.ceil(self.estimator.again * 2 ** (step / _STEPS)) + 1
 
     def _round(self, asked: int, active: Sequence[Cell], most: int) -> Round:
         """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap.
@@ -223,6 +225,7 @@ class Rounds:
         if latest is not None and latest.outgrows(new.value, self._picture.value[window]):
             self._picture.value[window], self._picture.variance[window] = latest.found.value, latest.found.variance
             self.weights[index], self._kept[index] = latest.weight, latest.points
+            self._blind[index] = latest.found.blind
             if latest.found.unseen is not None:
                 self.unseen[index] = latest.found.unseen
         old, had = self.weights[index], self._kept[index]
@@ -230,7 +233,7 @@ class Rounds:
         if new.model is not None and new.value[0].numel() >= MANY:
             told = new.variance[new.variance.isfinite()].to(torch.float64)
             weight = 1 / max(1e-300, float(told.mean())) if len(told) else 1e-300
-            if had and not self._located(index):
+            if had and new.blind is None and not self._located(index):
                 # a finer lattice that sees more than those before it has met what they missed
                 weight = max(weight, old * (points / had) ** 1.5)
         combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
@@ -251,16 +254,28 @@ class Rounds:
                 self.unseen[index] = new.unseen
         if share is not None and replicated:
             floor = self.unseen.get(index, 0.0)
+            doubted = not self._located(index) and (new.model is None or not self.estimator.locates(new.model))
+            parts = [
+                blind * part**2 for blind, part in ((self._blind.get(index), 1 - share), (new.blind, share)) if blind is not None
+            ]
+            self._blind[index] = sum(parts[1:], parts[0]) if parts else None
             reported = (self._picture.variance[window] - floor).clamp_min(0)
-            self._picture.variance[window] = agreed(difference, reported, points**1.5 / (had**1.5 + points**1.5)) + floor
+            self._picture.variance[window] = (
+                agreed(difference, reported, points**1.5 / (had**1.5 + points**1.5), self._blind[index], doubted) + floor
+            )
         if new.model is not None:
             if self.model is None:
                 self.model = torch.zeros_like(self._picture.points, dtype=torch.uint8)
             self.model[cell.window] = new.model
         self.weights[index] = old + weight
+        if share is not None and replicated and new.model is not None:
+            told = self._picture.variance[window]
+            self.weights[index] = min(old + weight, 1 / max(1e-300, float(told[told.isfinite()].mean(dtype=torch.float64))))
         self.sizes[index] += points
         self._kept[index] += points
         if replicated:
+            if share is None:
+                self._blind[index] = new.blind
             self._latest[index] = Latest(new, points, weight)
         self._spent += float(new.points.sum(dtype=torch.int64))
 

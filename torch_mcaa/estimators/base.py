@@ -59,6 +59,7 @@ class Estimate:
         diagnostics: of estimators that draw points for each pixel, else None.
         heavy: (h, w) bool, the pixels in which f was found to have no second moment by an estimator without diagnostics; None if in none.
         unseen: (C, 1, 1) or (C, h, w) the part of `variance` that stands for what no sample met; None if that is not told apart.
+        blind: (C, h, w) the part of `variance` that points off a lattice have seen and the lattice has not; None if there is none.
         model: (h, w) uint8, what was used: an index into the estimator's `models`; None for the first.
     """
 
@@ -70,6 +71,7 @@ class Estimate:
     heavy: Tensor | None = None
     unseen: Tensor | None = None
     model: Tensor | None = None
+    blind: Tensor | None = None
 
 
 class Round(ABC):

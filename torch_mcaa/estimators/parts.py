@@ -59,6 +59,7 @@ class Part:
     heavy: Tensor | None
     model: Tensor
     density: float | Tensor
+    blind: Tensor | None = None
 
     @property
     def spent(self) -> int:
@@ -81,6 +82,7 @@ class Part:
             heavy=heavy,
             unseen=floor,
             model=self.model.to(torch.uint8),
+            blind=self.blind,
         )
 
 
@@ -113,7 +115,8 @@ class Parts:
         points = lattice.row_points(cell).to(found.value.device, torch.int64)[:, None].expand(cell.height, cell.width)
         model = torch.full((cell.height, cell.width), SAMPLED, dtype=torch.uint8, device=found.value.device)
         heavy = None if found.heavy is None else found.heavy[inner]
-        return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp)
+        blind = None if found.blind is None else found.blind[inner]
+        return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp, blind)
 
     def located(self, cell: Cell, count: int, budget: int, steps: int, jumping: Tensor) -> Part:
         """A lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
@@ -156,7 +159,8 @@ class Parts:
             if result.variance is not None:
                 variance[:, *at] = result.variance[:, kept].to(task.dtype)
             model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
-        return Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count)
+        blind = None if found.blind is None else found.blind[inner] * ~near
+        return Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count, blind)
 
     def _lattice(self, spp: int, lines: bool) -> LatticeRound:
         if (spp, lines) not in self._lattices:
@@ -196,7 +200,7 @@ class Parts:
         plane = torch.zeros(shape, dtype=self.task.dtype, device=self.task.device)
         value, variance, heavy = plane, torch.full_like(plane, torch.inf), torch.zeros_like(plane, dtype=torch.bool)
         points, invalid, model = pilot.points.clone(), pilot.invalid.clone(), torch.zeros_like(plane[0], dtype=torch.uint8)
-        density = torch.zeros_like(plane[0], dtype=torch.float64)
+        density, blind = torch.zeros_like(plane[0], dtype=torch.float64), torch.zeros_like(plane)
         for where, part in parts:
             at = where.within(cell)
             value[:, *at], variance[:, *at] = part.value, part.variance
@@ -205,12 +209,14 @@ class Parts:
             model[at], density[at] = part.model, part.density
             if part.heavy is not None:
                 heavy[:, *at] = part.heavy
-        return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density)
+            if part.blind is not None:
+                blind[:, *at] = part.blind
+        return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density, blind)
 
     def sampled_further(self, part: Part, cell: Cell, spread: Tensor, left: int, most: int | None) -> Part:
         """More samples, of the `left` evaluations, in the blocks with pixels whose jumps were not located and that are not known well enough.
 
-        With what they have had, half in equal shares and half by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
+        With what they have had, a third in equal shares and the rest by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
         place of the standard deviation; at most `most` a pixel on average.
         """
         value, variance, free = part.value, part.variance, part.model == PLAIN
@@ -230,24 +236,26 @@ class Parts:
             if labels[inside[0]]
         ]
         heavy = torch.zeros_like(value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
-        density = density.clone()
+        density, blind = density.clone(), torch.zeros_like(variance) if part.blind is None else part.blind
         for where, had, count in _counts(poorest, left, most):
             at = where.within(cell)
             more, here = self.sampled(where, count, left), free[at]
             left -= more.spent
+            seen = 0 if more.blind is None else more.blind
             if had:
                 share = here * _share(variance[:, *at] * here, had, more.variance * here, count)
                 value[:, *at] += (more.value - value[:, *at]) * share
                 variance[:, *at] = variance[:, *at] * (1 - share) ** 2 + more.variance * share**2
+                blind[:, *at] = blind[:, *at] * (1 - share) ** 2 + seen * share**2
             else:
-                value[:, *at], variance[:, *at] = more.value, more.variance
+                value[:, *at], variance[:, *at], blind[:, *at] = more.value, more.variance, seen
             part.points[at] += more.points
             part.invalid[at] += more.invalid
             part.model[at] = torch.where(here, SAMPLED, part.model[at])
             density[at] += here * count
             if more.heavy is not None:
                 heavy[:, *at] |= more.heavy & here
-        return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density)
+        return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density, blind)
 
 
 def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, int]]:

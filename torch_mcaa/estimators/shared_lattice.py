@@ -31,6 +31,7 @@ class Measured:
         heavy: (C, h, w) bool, where f has no second moment, or None.
         samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0.
         at: where they lie.
+        blind: (C, h, w) the part of the variance that is the audit's, or None if it saw nothing.
     """
 
     value: Tensor
@@ -39,6 +40,7 @@ class Measured:
     heavy: Tensor | None
     samples: Tensor | None
     at: Geometry
+    blind: Tensor | None
 
 
 class LatticeRound(Round):
@@ -60,7 +62,8 @@ class LatticeRound(Round):
         sx, sy = (float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
         self.task = task
         audited = audited and contrast
-        self.strip = Lattice().strip(spp, replicate, audited, (sx, sy), lines)
+        # rounds are compared with one another: what one is blind to the next should see
+        self.strip = Lattice().strip(spp, replicate, audited, (sx, sy), lines, mirrored=number % 2 == 1)
         self.contrast = contrast
         # a strip without a point to spare has no audit
         audited = audited and self.strip.count < spp * self.strip.period
@@ -96,6 +99,7 @@ class LatticeRound(Round):
             found.invalid,
             heavy=None if found.heavy is None else found.heavy.any(0),
             unseen=floor,
+            blind=found.blind,
         )
 
     def measured(self, cell: Cell, keep: bool = False) -> Measured:
@@ -128,7 +132,8 @@ class LatticeRound(Round):
         heavy = poles.heavy(partial(self._row, cell, at))
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
-        return Measured(value, variance, invalid, heavy, torch.cat(kept, 2) if kept else None, at)
+        blind = extra if extra is not None and bool((extra > 0).any()) else None
+        return Measured(value, variance, invalid, heavy, torch.cat(kept, 2) if kept else None, at, blind)
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""

@@ -97,11 +97,20 @@ class Lattice(Pattern):
             total += weight.sum(0)
         return squares / total * (n / 2)
 
-    def strip(self, spp: int, replicate: int, audited: bool, shift: tuple[float, float], lines: bool = False) -> Strip:
+    def strip(
+        self,
+        spp: int,
+        replicate: int,
+        audited: bool,
+        shift: tuple[float, float],
+        lines: bool = False,
+        mirrored: bool = False,
+    ) -> Strip:
         """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
 
         With `audited` at least one evaluation of each strip is left over for a point off the lattice, but for spp = 1. With `lines` the
-        period is 1, so that the points lie 1 px apart on lines along both axes, as many lines a pixel as points.
+        period is 1, so that the points lie 1 px apart on lines along both axes, as many lines a pixel as points. The `mirrored` lattice has
+        other dual vectors that are as long.
         """
         period, count, generator = STRIPS[max(s for s in STRIPS if s <= spp)]
         if replicate or not audited or lines or spp > max(STRIPS):
@@ -110,7 +119,7 @@ class Lattice(Pattern):
             count += count % 2 - 1
             ranked = ranked_generators(count, period)
             generator = ranked[replicate // 2 % len(ranked)][1]
-        if replicate % 2:
+        if (replicate + mirrored) % 2:
             generator = -generator % count
         index = np.arange(count)
         x, y = (generator * index % count) / count, period * index / count

@@ -1,0 +1,168 @@
+"""Rendering to a tolerance: what rounds tell of one another, what it costs, and that it is met."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import tolerance as benchmark
+import torch
+from torch import Tensor
+
+import torch_mcaa as mcaa
+from torch_mcaa import scenes
+from torch_mcaa.estimators import Estimate
+from torch_mcaa.grid import Cell
+from torch_mcaa.replicates import Latest, agreed
+
+FILTER = mcaa.Gaussian(0.5, radius=4.0)
+
+
+def _normal(seed: int, *shape: int) -> Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def _rendered(scene: scenes.Scene, size: int, tolerance: float, spp: int = 512, seed: int = 0) -> tuple[mcaa.Rendering, Tensor]:
+    picture = mcaa.render(scene, (size, size), filter=FILTER, spp=spp, tolerance=tolerance, seed=seed, dtype=torch.float64)
+    centre = torch.arange(size, dtype=torch.float64) + 0.5
+    return picture, picture.image[0] - scene.exact(centre[None], centre[:, None], FILTER)
+
+
+def test_blocks_part_a_cell() -> None:
+    """Every pixel in one rectangle, and every rectangle of one label."""
+    cell, labels = Cell(3, 5, 40, 23), [1, 1, 2, 1, 1, 2, 2, 1]
+    blocks = cell.blocks(12)
+    labels = [labels[i % len(labels)] for i in range(len(blocks))]
+    plane = torch.zeros(40, 23)
+    for part, inside in cell.rectangles(12, labels):
+        plane[part.within(cell)] += 1
+        assert len({labels[block] for block in inside}) == 1
+        assert sum(blocks[b].height * blocks[b].width for b in inside) == part.height * part.width
+    assert bool((plane == 1).all())
+
+
+@pytest.mark.parametrize("share", [0.5, 0.3])
+def test_two_rounds_that_agree_say_how_far_their_mean_is_off(share: float) -> None:
+    """Two rounds of weights `share` and the rest, reported a hundred times too large: between the true variance and four times it.
+
+    4096 pixels: the mean of their squares is known to 2 %; the larger of a pixel's own and its neighbours' mean is 1.3 times it.
+    """
+    old, new = _normal(1, 1, 64, 64) / math.sqrt(1 - share), _normal(2, 1, 64, 64) / math.sqrt(share)
+    true = float(((1 - share) * old + share * new).square().mean())
+    told = agreed(new - old, torch.full_like(old, 100.0), share, None, False)
+    assert true < float(told.mean()) < 4 * true
+
+
+def test_agreement_takes_nothing_away_from_what_is_reported_rightly() -> None:
+    difference = _normal(3, 1, 64, 64) * math.sqrt(2)
+    told = agreed(difference, torch.full_like(difference, 0.5), 0.5, None, True)
+    assert 0.4 < float(told.mean()) <= 0.5
+
+
+def test_what_lattices_are_blind_to_stays() -> None:
+    """Two that err alike agree; points off them have seen it."""
+    nothing = torch.zeros(1, 16, 16)
+    blind = torch.full_like(nothing, 0.1)
+    assert bool((agreed(nothing, blind + 0.2, 0.5, blind, True) == blind).all())
+    assert float(agreed(nothing, blind + 0.2, 0.5, None, True).max()) == 0
+
+
+def test_rounds_at_odds_are_doubted() -> None:
+    """One that saw nothing reports nothing: the difference tells, unless jumps were located, which brings its own standard error."""
+    difference, reported = torch.full((1, 16, 16), 0.1), torch.full((1, 16, 16), 1e-8)
+    assert float(agreed(difference, reported, 0.5, None, True).min()) == pytest.approx(0.0025, rel=1e-4)
+    assert float(agreed(difference, reported, 0.5, None, False).max()) == pytest.approx(1e-8)
+
+
+def test_infinite_variances_stay() -> None:
+    reported = torch.full((1, 16, 16), torch.inf)
+    reported[0, 3, 3] = 1.0
+    told = agreed(torch.zeros(1, 16, 16), reported, 0.5, None, True)
+    assert int(told.isinf().sum()) == 255 and float(told[0, 3, 3]) == 0
+
+
+def test_early_rounds_are_outgrown_by_two_that_agree_much_better() -> None:
+    last, new = _normal(4, 1, 16, 16) * 1e-4, _normal(5, 1, 16, 16) * 1e-5
+    empty = torch.zeros(16, 16, dtype=torch.int32)
+    latest = Latest(Estimate(last, last, empty, empty), 8, 1)
+    assert latest.outgrows(new, last + 0.1)
+    # the mean of independent rounds of one size is nearer than the last alone
+    first, second, third = (_normal(seed, 1, 64, 64) for seed in (6, 7, 8))
+    assert not Latest(Estimate(second, second, empty, empty), 8, 1).outgrows(third, (first + second) / 2)
+
+
+MOST = {
+    "slow tone": (scenes.Sinusoid(0.23, 0.11, 0.7), 12),
+    "tone": (scenes.Sinusoid(1.9, -0.8, 0.3), 64),
+    "zone plate": (scenes.ZonePlate(0.03, 60.3, 61.1), 24),
+    "pentagon": (scenes.Polygon(((20.3, 30.1), (90.2, 17.7), (110.9, 70.4), (60.5, 112.2), (22.1, 80.8))), 24),
+    "hairline": (scenes.Stripe(0.3, 80.2, 0.1), 16),
+}
+
+
+@pytest.mark.parametrize("name", MOST)
+def test_tolerance_is_met_with_few_evaluations(name: str) -> None:
+    """Some 1.5 times what was seen: blocks are done one by one, two rounds that agree are enough, and jumps are located at once."""
+    scene, most = MOST[name]
+    picture, error = _rendered(scene, 128, 1e-3)
+    assert picture.stopped == "tolerance"
+    assert float(picture.spp.double().mean()) < most
+    assert float(error.square().mean().sqrt()) <= 1e-3
+    assert float(error.abs().max()) <= 6e-3
+
+
+def test_high_tones_do_not_pass_as_smooth() -> None:
+    """24 tones of 3 to 8 cycles a pixel, many near the dual vectors of one lattice or of two: no pixel of any is beyond 6 tolerances."""
+    generator = torch.Generator().manual_seed(77)
+    for seed in range(24):
+        frequency, turn, phase = torch.rand(3, generator=generator, dtype=torch.float64).tolist()
+        frequency, turn = 3 + 5 * frequency, 2 * math.pi * turn
+        tone = scenes.Sinusoid(frequency * math.cos(turn), frequency * math.sin(turn), 2 * math.pi * phase)
+        _, error = _rendered(tone, 48, 1e-3, seed=seed)
+        assert float(error.abs().max()) <= 6e-3
+
+
+def test_noise_does_not_pass_as_smooth() -> None:
+    """White noise on a grid of 1/64 px, whose filtered values are known: the tolerance is kept by 95 % of the pixels, and most others nearly."""
+    values = torch.rand(64 * 32, 64 * 32, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
+
+    def noise(x: Tensor, y: Tensor) -> Tensor:
+        i, j = ((v.double() * 64).floor().long().remainder(64 * 32) for v in (y, x))
+        return values[i, j].to(x.dtype)
+
+    edges = torch.arange(64 * 8 + 1, dtype=torch.float64) / 64 - 4
+    weight = torch.diff(FILTER.profile_cdf(edges))
+    padded = torch.nn.functional.pad(values[None], (224, 224, 224, 224), "circular")[0]
+    along = padded.unfold(1, 512, 64) @ weight
+    truth = (along.unfold(0, 512, 64) @ weight)[:32, :32]
+    picture = mcaa.render(noise, (32, 32), filter=FILTER, spp=1024, tolerance=0.02, dtype=torch.float64)
+    error = (picture.image[0] - truth).abs()
+    assert float((error <= 0.04).double().mean()) > 0.95
+    assert float(error.square().mean().sqrt()) < 0.02
+
+
+@pytest.mark.parametrize("spp", [6, 8, 13])
+def test_the_cap_is_hard_where_jumps_may_have_more(spp: int) -> None:
+    picture, _ = _rendered(scenes.Checkerboard(11.3, (0.4, 0.7)), 96, 1e-6, spp)
+    assert picture.stopped == "spp"
+    assert float(picture.spp.double().mean()) <= spp
+
+
+def test_the_last_place_of_a_net_stays_below_one_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = mcaa.Sobol.points
+
+    def last(self: mcaa.Sobol, *args, **kwargs) -> tuple[Tensor, Tensor]:
+        u, v = drawn(self, *args, **kwargs)
+        return u, torch.where(v == v.amax(0, keepdim=True), 1 - 2.0**-33, v)
+
+    monkeypatch.setattr(mcaa.Sobol, "points", last)
+    picture = mcaa.render(lambda x, y: (x > 3.2).to(x.dtype), (8, 8), estimator=mcaa.Shared(mcaa.Sobol()), spp=16)
+    assert bool(picture.stderr.isfinite().all())
+
+
+def test_the_benchmark_prints_a_row_a_scene(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["tolerance.py", "--only", "ramp"])
+    monkeypatch.setattr(benchmark, "scenes_of", lambda: {"ramp": lambda generator: scenes.Ramp(2e-3, 1e-3)})
+    benchmark.main()
+    rows = capsys.readouterr().out.strip().splitlines()
+    assert len(rows) == 3 and rows[2].startswith("| ramp | ") and "1.0 Shared" in rows[2]
