@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.asked import AT_ONCE, Asked
-from torch_mcaa.edges.scan import Brackets, joined
+from torch_mcaa.edges.scan import Brackets, Segments, joined
 from torch_mcaa.edges.trace import Causes, Margins
 
 _NARROW = 2.0**-10
@@ -49,22 +49,22 @@ class Changes:
         )
 
 
-def refine(asked: Asked, segments: Brackets) -> Changes:
+def refine(asked: Asked, found: Segments) -> Changes:
     """All changes in segments between whose ends the signatures differ.
 
-    The margin of the first decision that differs is known at both ends. With that at one place more, found by a straight line, its root is
+    The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
     foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are halved, and
     both halves kept where they differ: margins that lead astray cost evaluations, no accuracy.
     """
-    ends = _examined(asked, segments, False)
-    first = _straight(segments, ends.margin)
-    signature, margin = _at(asked, segments, first, ends)
+    segments = found.brackets
+    first = _straight(segments, found.margin)
+    signature, margin = _at(asked, found, first)
     left, right = signature != segments.before, signature != segments.after
     several = segments.take(left & right)
     rest = [several.split(first[None, left & right], signature[None, left & right])]
     single = left ^ right
     low, high = torch.where(left, segments.low, first), torch.where(left, first, segments.high)
-    root = _parabola(segments, first, ends.margin, margin)[single]
+    root = _parabola(segments, first, found.margin, margin)[single]
     one = segments.take(single)
     one = replace(
         one,
@@ -75,11 +75,11 @@ def refine(asked: Asked, segments: Brackets) -> Changes:
     )
     root = torch.where((root >= one.low) & (root <= one.high), root, (one.low + one.high) / 2)
     near = replace(one, low=torch.maximum(one.low, root - _NARROW / 2), high=torch.minimum(one.high, root + _NARROW / 2))
-    tried = _examined(asked, near, True)
+    tried = _examined(asked, near)
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _halved(asked, joined(rest)), True)
+    halved = _examined(asked, _halved(asked, joined(rest)))
     return _joined([tried.take(hit), halved])
 
 
@@ -109,23 +109,23 @@ def _parabola(segments: Brackets, first: Tensor, margin: Tensor, there: Tensor) 
     return low + first * (a * c / ((b - a) * (b - c))) + segments.high * (a * b / ((c - a) * (c - b)))
 
 
-def _at(asked: Asked, segments: Brackets, place: Tensor, ends: Changes) -> tuple[Tensor, Tensor]:
+def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor]:
     """(N,) signatures, and margins of the segments' causes, at a place in each."""
     found = []
-    col, row = segments.places(place)
+    col, row = segments.brackets.places(place)
     for start in range(0, len(place), AT_ONCE):
         part = slice(start, start + AT_ONCE)
-        cause, branch = ends.cause[part], ends.branch[part]
+        cause, branch = segments.cause[part], segments.branch[part]
         _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b))
         found.append((seen.signatures(len(cause)), seen.total.detach()))
     if not found:
-        return segments.before, place
+        return segments.brackets.before, place
     signature, margin = (torch.cat(parts) for parts in zip(*found, strict=True))
     return signature, margin
 
 
-def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
-    """f again at the ends of brackets, with what changes between them and, if `sloped`, its margin's derivatives."""
+def _examined(asked: Asked, brackets: Brackets) -> Changes:
+    """f again at the ends of brackets, with what changes between them and its margin's derivatives."""
     parts = []
     for start in range(0, max(1, len(brackets)), AT_ONCE // 2):
         part = brackets.take(torch.arange(start, min(start + AT_ONCE // 2, len(brackets)), device=asked.device))
@@ -134,10 +134,11 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
             none = part.low.new_zeros
             whole = part.line.new_zeros
             return Changes(part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0))
-        with torch.set_grad_enabled(sloped):
-            col, row = (t.flatten().requires_grad_(sloped) for t in part.places(torch.stack([part.low, part.high])))
-            values, seen = asked.run(col, row, lambda c=count: Causes(c, asked.device))
-            slope = _slopes(seen.total, col, row) if sloped else torch.zeros(2, 2 * count, device=asked.device)
+        first = torch.arange(count, device=asked.device)
+        with torch.enable_grad():
+            col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
+            values, seen = asked.run(col, row, lambda f=first: Causes(f, f + len(f)))
+            slope = _slopes(seen.total, col, row)
         parts.append(
             Changes(
                 part,
@@ -145,7 +146,7 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
                 values.detach().unflatten(1, (2, count)),
                 seen.cause,
                 seen.branch,
-                seen.margin.view(2, count),
+                seen.margin,
                 slope.unflatten(1, (2, count)),
             )
         )
