@@ -13,6 +13,10 @@ from torch_mcaa.edges.trace import Causes, Margins
 
 _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
+_NARROWEST = 2.0**-26
+"""Px: of those where the margin looks like a step."""
+_TIMES = 100
+"""A margin that changes so many times more than its slope explains is not continuous."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,17 @@ class Changes:
 
     def __len__(self) -> int:
         return len(self.cause)
+
+    @property
+    def flat(self) -> Tensor:
+        """bool (N,): margins without a slope at either end."""
+        return ~(self.slope.abs().sum(0) > 0).any(0)
+
+    @property
+    def leap(self) -> Tensor:
+        """bool (N,): margins that change far more than their slopes explain, so that they are not continuous, or nearly steps."""
+        along = self.slope[self.brackets.axis].abs().amax(0) * (self.brackets.high - self.brackets.low)
+        return ~self.flat & ((self.margin[1] - self.margin[0]).abs() > _TIMES * along)
 
     def take(self, index: Tensor) -> Changes:
         """Those at `index`, integers or bool."""
@@ -79,15 +94,19 @@ def refine(asked: Asked, found: Segments) -> Changes:
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _halved(asked, joined(rest)))
-    return _joined([tried.take(hit), halved])
+    halved = _examined(asked, _halved(asked, joined(rest), _NARROW))
+    changes = _joined([tried.take(hit), halved])
+    # the margin may saturate a little beside the edge
+    astray = changes.flat | changes.leap
+    closer = _examined(asked, _halved(asked, changes.brackets.take(astray), _NARROWEST))
+    return _joined([changes.take(~astray), closer])
 
 
-def _halved(asked: Asked, brackets: Brackets) -> Brackets:
-    """All changes in them, in brackets no wider than `_NARROW`."""
+def _halved(asked: Asked, brackets: Brackets, width: float) -> Brackets:
+    """All changes in them, in brackets no wider than `width`."""
     done = []
     while len(brackets):
-        narrow = brackets.high - brackets.low <= _NARROW
+        narrow = brackets.high - brackets.low <= width
         done.append(brackets.take(narrow))
         brackets = brackets.take(~narrow)
         middle = (brackets.low + brackets.high) / 2
@@ -137,7 +156,7 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
         first = torch.arange(count, device=asked.device)
         with torch.enable_grad():
             col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
-            values, seen = asked.run(col, row, lambda f=first: Causes(f, f + len(f)))
+            values, seen = asked.run(col, row, lambda f=first: Causes(f, f + len(f), True))
             slope = _slopes(seen.total, col, row)
         parts.append(
             Changes(

@@ -116,7 +116,7 @@ def _differing(
     col, row = (place, level) if axis == 0 else (level, place)
     index = torch.arange(place.numel(), device=asked.device).view(place.shape)
     first, second = index[:, :-1].flatten(), index[:, 1:].flatten()
-    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(first, second))
+    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(first, second, False))
     signature = seen.signatures(place.numel()).view(place.shape)
     differs = signature[:, 1:] != signature[:, :-1]
     differs[:, 0] &= differs[:, 1]

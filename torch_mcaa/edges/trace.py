@@ -157,11 +157,12 @@ class Causes(Signatures):
 
     Attributes:
         cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
-        margin: (2, n) of that decision, at both points; total: their sum, with a graph.
+        margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
     """
 
-    def __init__(self, first: Tensor, second: Tensor) -> None:
+    def __init__(self, first: Tensor, second: Tensor, sloped: bool) -> None:
         super().__init__()
+        self.sloped = sloped
         self.first, self.second = first, second
         self.cause = torch.full_like(first, -1)
         self.branch = first.new_zeros(len(first), 3)
@@ -180,7 +181,9 @@ class Causes(Signatures):
         branch = self.branch[new] = torch.stack([lane, codes[first, lane], codes[second, lane]], 1)
         margin = lanes.margin(torch.cat([first, second]), branch.repeat(2, 1))
         self.margin[:, new] = margin.detach().to(torch.float64).view(2, -1)
-        self.total = margin.sum() if self.total is None else self.total + margin.sum()
+        if self.sloped:
+            with torch.enable_grad():
+                self.total = margin.sum() if self.total is None else self.total + margin.sum()
 
 
 class Margins(Signatures):
@@ -197,7 +200,9 @@ class Margins(Signatures):
         if number in self.wanted:
             point = (self.cause == number).nonzero()[:, 0]
             margin = lanes.margin(point, self.branch[point]).to(torch.float64)
-            self.total = self.total.index_add(0, point, margin)
+            # f may run this part of it under no_grad
+            with torch.enable_grad():
+                self.total = self.total.index_add(0, point, margin)
 
 
 def changed_program(what: str) -> McaaError:
