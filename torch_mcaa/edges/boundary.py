@@ -29,6 +29,8 @@ LINES = 4
 """Lines a pixel along either axis, by default."""
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
+_FEWEST = 256
+"""At least so many brackets, and one a pixel, are halved at once."""
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -77,7 +79,8 @@ def elements(
     device: torch.device | None = None,
     tally: Tally | None = None,
 ) -> Elements:
-    """The edge elements of one cell. Those of all cells of a screen are the same however it is cut into cells.
+    """The edge elements of one cell. Those of all cells of a screen are the same however it is cut into cells, unless f is so dense
+    with jumps that some are left out at random, for which the others count more.
 
     A cell at the border of the screen has the elements beyond it too, as far as the filter reaches, unless the screen is `closed`.
     """
@@ -98,7 +101,8 @@ def elements(
         if closed:
             across = (max(across[0], 0), min(across[1], whole[1 - axis]))
         segments, last = scan(asked, axis, along, across, lines, seed, limits)
-        found.append(_weighed(refine(asked, segments), lines, last))
+        most = _FEWEST + (along[1] - along[0]) * (across[1] - across[0])
+        found.append(_weighed(refine(asked, segments, most, seed), lines, last))
     col, row, jump, weight, cause, branch, at, flat, leap = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
@@ -134,7 +138,7 @@ def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
     some = (changed & ~flat & ~leap & size.isfinite()).nonzero()[:, 0]
     col, row = brackets.places(place)
     at = torch.stack(brackets.places(torch.where(high > 0, brackets.high, brackets.low)))
-    weight = 1 / (probability * lines * size)
+    weight = 1 / (probability * brackets.chance * lines * size)
     return (
         col[some],
         row[some],

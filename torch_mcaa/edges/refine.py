@@ -64,12 +64,13 @@ class Changes:
         )
 
 
-def refine(asked: Asked, found: Segments) -> Changes:
+def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
     """All changes in segments between whose ends the signatures differ.
 
     The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
     foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are halved, and
-    both halves kept where they differ: margins that lead astray cost evaluations, no accuracy.
+    both halves kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than `most` that are halved at once,
+    as where f is noise, so many are kept at random, and count for the others.
     """
     segments = found.brackets
     first = _straight(segments, found.margin)
@@ -94,21 +95,21 @@ def refine(asked: Asked, found: Segments) -> Changes:
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _halved(asked, joined(rest), _NARROW))
+    halved = _examined(asked, _halved(asked, joined(rest), _NARROW, most, seed))
     changes = _joined([tried.take(hit), halved])
     # the margin may saturate a little beside the edge
     astray = changes.flat | changes.leap
-    closer = _examined(asked, _halved(asked, changes.brackets.take(astray), _NARROWEST))
+    closer = _examined(asked, _halved(asked, changes.brackets.take(astray), _NARROWEST, most, seed))
     return _joined([changes.take(~astray), closer])
 
 
-def _halved(asked: Asked, brackets: Brackets, width: float) -> Brackets:
+def _halved(asked: Asked, brackets: Brackets, width: float, most: int, seed: int) -> Brackets:
     """All changes in them, in brackets no wider than `width`."""
     done = []
     while len(brackets):
         narrow = brackets.high - brackets.low <= width
         done.append(brackets.take(narrow))
-        brackets = brackets.take(~narrow)
+        brackets = brackets.take(~narrow).thinned(most, seed)
         middle = (brackets.low + brackets.high) / 2
         brackets = brackets.split(middle[None], asked.signatures(*brackets.places(middle))[None])
     return joined([*done, brackets])

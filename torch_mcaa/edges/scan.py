@@ -11,7 +11,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
 from torch_mcaa.edges.trace import Causes
 
-_SCAN = 0x5CA2
+_SCAN, _THINNED = 0x5CA2, 0x7417
 _GROUP = 4
 """The most changes that are looked at as one thin piece."""
 
@@ -25,6 +25,7 @@ class Brackets:
         low, high: (N,) the ends, in px.
         before, after: (N,) int64 signatures there.
         line, segment: (N,) int64, which line of the scan, and which segment on it.
+        chance: (N,) the probability with which it was kept where there were too many.
     """
 
     axis: int
@@ -35,6 +36,7 @@ class Brackets:
     after: Tensor
     line: Tensor
     segment: Tensor
+    chance: Tensor
 
     def __len__(self) -> int:
         return len(self.low)
@@ -55,6 +57,14 @@ class Brackets:
             before=codes[part, which],
             after=codes[part + 1, which],
         )
+
+    def thinned(self, most: int, seed: int) -> Brackets:
+        """`most` of them at random, if there are more."""
+        if len(self) <= most:
+            return self
+        number = rng.bits(seed, _THINNED, self.axis, (self.low * 2**20).long(), self.line)
+        kept = self.take(torch.argsort(number, stable=True)[:most])
+        return replace(kept, chance=kept.chance * (most / len(self)))
 
     def places(self, along: Tensor) -> tuple[Tensor, Tensor]:
         """Columns and rows of places (..., N) on the lines."""
@@ -131,6 +141,7 @@ def _differing(
         signature[line, segment + 1],
         line + begin,
         segment,
+        torch.ones_like(lie[line]),
     )
     chosen = differs.flatten()
     return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen])

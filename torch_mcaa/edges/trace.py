@@ -7,6 +7,8 @@ continuous there, so that its margin is, and crosses zero.
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +22,8 @@ from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, rule
 from torch_mcaa.errors import McaaError
 
 _LANE = 0x1A9E
+_HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
+"""Our code, and PyTorch's."""
 Visit = Callable[[int, Decision], None]
 
 
@@ -92,7 +96,7 @@ class Traced:
         site = self.sites[number] if number < len(self.sites) else None
         name = func.__name__
         if site is None or site.name != name:
-            self.changed = f"{name} where there had been {'nothing' if site is None else f'{site.name} ({site.where})'}"
+            self.changed = f"{name} ({where()}) where there had been {'nothing' if site is None else f'{site.name} ({site.where})'}"
         elif site.axis is not None:
             if decision.codes.shape[site.axis] != self.points:
                 self.changed = f"{name} on {tuple(decision.codes.shape)} for {self.points} points ({site.where})"
@@ -210,3 +214,14 @@ def changed_program(what: str) -> McaaError:
         f"f took other decisions than before: {what}; its Python control flow depends on values: write it with torch.where, "
         "so that every call runs the same operations"
     )
+
+
+def where() -> str:
+    """file:line of the innermost frame of code that is neither PyTorch's nor ours."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if not name.startswith(_HOMES) and not name.startswith("<"):
+            return f"{name}:{frame.f_lineno}"
+        frame = frame.f_back
+    return "(no line of Python)"
