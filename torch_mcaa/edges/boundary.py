@@ -30,7 +30,7 @@ LINES = 4
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
-"""At least so many brackets, and one a pixel, are halved at once."""
+"""At least so many brackets, and two a pixel, are quartered at once."""
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -87,26 +87,18 @@ def elements(
     device = torch.device("cpu") if device is None else device
     program = program or probe(function, screen, dtype, device)
     asked = Asked(function, screen, program, dtype, device, tally)
-    found = []
-    for axis in (0, 1):
-        spans = [
-            _span(first, size, whole, reach, closed)
-            for first, size, whole, reach in zip(
-                (cell.col, cell.row), (cell.width, cell.height), (screen.width, screen.height), filter.radius, strict=True
-            )
-        ]
-        along, across = spans[axis], spans[1 - axis]
-        whole = (screen.width, screen.height)
-        limits = (0.0, whole[axis] * (1 - 2.0**-50)) if closed else (-torch.inf, torch.inf)
-        if closed:
-            across = (max(across[0], 0), min(across[1], whole[1 - axis]))
-        segments, last = scan(asked, axis, along, across, lines, seed, limits)
-        most = _FEWEST + (along[1] - along[0]) * (across[1] - across[0])
-        found.append(_weighed(refine(asked, segments, most, seed), lines, last))
-    col, row, jump, weight, cause, branch, at, flat, leap = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
+    spans = [
+        _span(first, size, whole, reach, closed)
+        for first, size, whole, reach in zip(
+            (cell.col, cell.row), (cell.width, cell.height), (screen.width, screen.height), filter.radius, strict=True
+        )
+    ]
+    most = _FEWEST + 2 * cell.height * cell.width
+    changes = refine(asked, scan(asked, *spans, lines, seed, closed), most, seed)
+    col, row, jump, weight, cause, branch, at, flat, leap = _weighed(changes, lines)
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
-    return Elements(col, row, jump, weight, cause, branch.T, at, program, asked.precision, tuple(problems))
+    return Elements(col, row, jump, weight, cause, branch, at, program, asked.precision, tuple(problems))
 
 
 def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
@@ -115,8 +107,8 @@ def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tupl
     return first - beyond * (first == 0), first + size + beyond * (first + size == whole) * (not closed)
 
 
-def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
-    """What `Elements` holds of the changes along one axis."""
+def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
+    """What `Elements` holds of the changes."""
     brackets = changes.brackets
     order = torch.argsort(brackets.low)
     changes = changes.take(order[torch.argsort(brackets.line[order], stable=True)])
@@ -130,10 +122,9 @@ def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
     # what the other axis meets better counts less here: of |g_x|^3 and |g_y|^3 each has its share
     # scaled, so that no cube under- or overflows
     most = slope.amax(0)
-    size = most * (slope / most).pow(3).sum(0) / (slope[brackets.axis] / most).square()
+    size = most * (slope / most).pow(3).sum(0) / (changes.along(slope) / most).square()
     jump = (changes.values[:, 1] - changes.values[:, 0]) * torch.sign(after - before)
-    own = (brackets.segment > 0) & (brackets.segment < last - 1)
-    changed = own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
+    changed = brackets.own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
     flat, leap = changed & changes.flat, changed & changes.leap
     some = (changed & ~flat & ~leap & size.isfinite()).nonzero()[:, 0]
     col, row = brackets.places(place)
@@ -145,7 +136,7 @@ def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
         jump[:, some],
         weight[some],
         changes.cause[some],
-        changes.branch[some].T,
+        changes.branch[some],
         at[:, some],
         changes.cause[flat],
         changes.cause[leap],
@@ -167,7 +158,7 @@ def margins(function: Function, screen: Screen, elements: Elements) -> Tensor:
 
 
 def _margins(cause: Tensor, branch: Tensor) -> Callable[[], Margins]:
-    return lambda: Margins(cause, branch)
+    return lambda: Margins(cause, branch, True)
 
 
 def surrogate(function: Function, screen: Screen, elements: Elements, coefficient: Tensor) -> Tensor:
