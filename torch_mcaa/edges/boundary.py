@@ -25,7 +25,7 @@ from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
 
-LINES = 4
+LINES = 3
 """Lines a pixel along either axis, by default."""
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
