@@ -46,7 +46,7 @@ class Asked:
             return torch.zeros(self.channels, 0, dtype=torch.float64, device=self.device), col.to(torch.int64)
         found = []
         for c, r in zip(col.split(AT_ONCE), row.split(AT_ONCE), strict=True):
-            values, seen = self.run(c, r, Signatures)
+            values, seen = self.run(c, r, lambda: Signatures(self.device))
             found.append((values, seen.signatures(len(c))))
         return torch.cat([v for v, _ in found], 1), torch.cat([s for _, s in found])
 

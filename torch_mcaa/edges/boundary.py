@@ -3,8 +3,8 @@
     d/dθ ∫ f w dr = ∫ (d/dθ f) w dr + ∮ Δf w (d/dθ g) / |∇g| dl
 
 over the edges g = 0, across which f changes by Δf from g < 0 to g > 0 (Reynolds' transport theorem; T.-M. Li et al. 2018, "Differentiable
-Monte Carlo Ray Tracing through Edge Sampling"). Lines along both axes meet the edges; an element dl is met with density
-n (|n_x| + |n_y|) dl by n lines a pixel along either.
+Monte Carlo Ray Tracing through Edge Sampling"). n lines a pixel along either axis meet the edges: an element dl is met with density
+n |n_x| dl by those along x, n |n_y| dl by those along y.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class Elements:
     Attributes:
         col, row: (N,) float64 screen pixels.
         jump: (C, N) float64, f where the margin is positive less f where it is negative, everything that follows the decision included.
-        weight: (N,) float64, ω / (n (|g_x| + |g_y|)), derivatives per screen pixel.
+        weight: (N,) float64, what w and the margin's derivative are to be multiplied by: of a line along x g_x^2 / (n p (|g_x|^3 + |g_y|^3)),
+            derivatives per screen pixel, p the probability with which it was met.
         cause: (N,) int64, the number of the decision whose margin crosses zero; branch: (N, 3) its lane and the codes on either side.
         at: (2, N) float64 column and row, in the same bracket, where the margin is to be differentiated.
         program: f's decisions; precision: the dtype in which f was asked.
@@ -79,10 +80,20 @@ def elements(
     device: torch.device | None = None,
     tally: Tally | None = None,
 ) -> Elements:
-    """The edge elements of one cell. Those of all cells of a screen are the same however it is cut into cells, unless f is so dense
-    with jumps that some are left out at random, for which the others count more.
+    """The edge elements of one cell.
 
-    A cell at the border of the screen has the elements beyond it too, as far as the filter reaches, unless the screen is `closed`.
+    Those of all cells of a screen are the same however it is cut into cells, unless f is so dense with jumps that some are left out at
+    random, for which the others count more. A cell at the border of the screen has the elements beyond it too, as far as the filter reaches,
+    unless the screen is `closed`: then f is not asked there. Small cells cost time, large ones only as much memory as they have edges.
+
+    Args:
+        seed, lines: what the lines lie by, and how many a pixel there are along either axis.
+        program: what `probe` says of f, if it has been asked before.
+        dtype: the picture's; f is asked in float64, or in this where it refuses.
+        tally: told of every place that f is asked at.
+
+    Raises:
+        McaaError: f breaks its contract, or takes other decisions in one call than in another.
     """
     device = torch.device("cpu") if device is None else device
     program = program or probe(function, screen, dtype, device)
@@ -116,11 +127,13 @@ def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
     ratio = (before / (before - after)).nan_to_num(0.5).clamp(0, 1)
     place = brackets.low + ratio * (brackets.high - brackets.low)
     probability = share(brackets.line, place, brackets.before, brackets.after)
-    # margins that leave a plateau slope on one side alone; and a slope of 0 at the edge is none beside it
-    high = changes.slope.abs().sum(0).argmax(0)
+    # the nearer end, unless the margin is on a plateau there, or too flat to be differentiated
+    steep = changes.slope.abs().sum(0)
+    high = (after.abs() < before.abs()).long()
+    high = torch.where(steep.gather(0, high[None])[0] > _FLAT * steep.amax(0), high, 1 - high)
     slope = changes.slope.gather(1, high.expand(2, 1, -1))[:, 0].abs()
-    # what the other axis meets better counts less here: of |g_x|^3 and |g_y|^3 each has its share
-    # scaled, so that no cube under- or overflows
+    # an edge is met by both axes: of |g_x|^3 and |g_y|^3 each has its share, so that lines nearly along it hardly count (Veach and Guibas
+    # 1995, the power heuristic); scaled, so that no cube under- or overflows
     most = slope.amax(0)
     size = most * (slope / most).pow(3).sum(0) / (changes.along(slope) / most).square()
     jump = (changes.values[:, 1] - changes.values[:, 0]) * torch.sign(after - before)
@@ -162,9 +175,12 @@ def _margins(cause: Tensor, branch: Tensor) -> Callable[[], Margins]:
 
 
 def surrogate(function: Function, screen: Screen, elements: Elements, coefficient: Tensor) -> Tensor:
-    """The sum over the elements of coefficient (N,) times margin, a scalar whose backward is the boundary term's."""
+    """A scalar, 0, whose backward is that of the sum over the elements of coefficient (N,) times margin: the boundary term's.
+
+    Its second derivatives raise McaaError.
+    """
     with torch.enable_grad():
-        return (coefficient.to(torch.float64) * margins(function, screen, elements)).sum()
+        return (coefficient.to(torch.float64) * zero_with_gradient(margins(function, screen, elements))).sum()
 
 
 def boundary_term(
@@ -199,7 +215,7 @@ def boundary_term(
 
 def splat(elements: Elements, screen: Screen, filter: Filter) -> tuple[Tensor, Tensor, Tensor]:
     """(N, P) rows and columns of the pixels around each element, and w there, 0 beyond the screen."""
-    reach = [int(r + 0.5) + 1 for r in filter.radius]
+    reach = [int(min(r, whole) + 0.5) + 1 for r, whole in zip(filter.radius, (screen.width, screen.height), strict=True)]
     over, down = (torch.arange(-r, r + 1, device=elements.col.device) for r in reach)
     cols = (elements.col.floor().long()[:, None, None] + over).expand(-1, len(down), -1).flatten(1)
     rows = (elements.row.floor().long()[:, None, None] + down[:, None]).expand(-1, -1, len(over)).flatten(1)

@@ -87,7 +87,11 @@ def _compare(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | 
     a, b = args[0], _argument(args, kwargs, 1, "other")
     if not (_floating(a) or _floating(b)) or not isinstance(result, Tensor):
         return None
-    return Level(result, lambda: a - b)
+    return Level(result, lambda: _number(a) - _number(b))
+
+
+def _number(value: Any) -> Any:
+    return value.to(torch.int64) if isinstance(value, Tensor) and value.dtype == torch.bool else value
 
 
 def _close(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:

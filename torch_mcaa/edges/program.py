@@ -163,9 +163,11 @@ class _Probe(Watch):
             self.hidden.append(
                 f"{where()}: {user} takes a tensor from code that the trace cannot see (scripted, compiled, or a kernel)"
             )
-        elif not tensor.requires_grad and self.points in tensor.shape:
-            place = (self._calls, tensor.ndim)
-            self.strangers[place] = f"{where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
+        elif not tensor.requires_grad:
+            for axis, size in enumerate(tensor.shape):
+                if size == self.points:
+                    text = f"{where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
+                    self.strangers[self._calls, axis] = text
         self._alive.append(tensor)
         self._depends[id(tensor)] = depends
         return depends

@@ -56,10 +56,10 @@ class Watch(TorchFunctionMode):
                 # an array of a tensor with a gradient is refused, and f may never have been given one
                 args = [args[0].detach(), *args[1:]]
             return func(*args, **kwargs)
-        given = args
+        given = args if args else [kwargs["input"]] if "input" in kwargs else []
         if in_place(func) or "out" in kwargs:
             # the margin is of what was there before
-            given = [a.clone() if isinstance(a, Tensor) else a for a in args]
+            given = [a.clone() if isinstance(a, Tensor) else a for a in given]
         result = func(*args, **kwargs)
         decision = rule(given, kwargs, result)
         if decision is not None:
@@ -141,12 +141,13 @@ class Lanes:
 class Signatures:
     """A visitor: one int64 a point, equal where all decisions are."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: torch.device) -> None:
+        self.device = device
         self._sum: Tensor | None = None
 
     def signatures(self, count: int) -> Tensor:
         """(count,): of the first points."""
-        return torch.zeros(count, dtype=torch.int64) if self._sum is None else self._sum[:count]
+        return torch.zeros(count, dtype=torch.int64, device=self.device) if self._sum is None else self._sum[:count]
 
     def __call__(self, number: int, lanes: Lanes) -> None:
         self.add(number, lanes.codes())
@@ -177,7 +178,7 @@ class Causes(Signatures):
     """
 
     def __init__(self, shape: tuple[int, int], axis: int, sloped: bool, device: torch.device) -> None:
-        super().__init__()
+        super().__init__(device)
         self.shape, self.axis, self.sloped = shape, axis, sloped
         rows, columns = shape
         self.pairs = (rows - 1) * columns if axis == 0 else rows * (columns - 1)
@@ -214,7 +215,7 @@ class Margins(Signatures):
     """A visitor: the margins `total` (N,) of the points' own causes, and the signatures."""
 
     def __init__(self, cause: Tensor, branch: Tensor, graph: bool) -> None:
-        super().__init__()
+        super().__init__(cause.device)
         self.graph = graph
         self.cause, self.branch = cause, branch
         self.wanted = set(cause.unique().tolist())
