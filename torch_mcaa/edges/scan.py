@@ -94,6 +94,8 @@ class Segments:
 def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int, seed: int, closed: bool) -> Segments:
     """The segments of 1 px that begin in the pixels of a rectangle and hold a change, on `lines` lines a pixel along either axis.
 
+    At the screen's first column and row those that end in it come too.
+
     The lines are 1 / lines px apart, from one random place for the whole screen; each is cut into segments at a random phase of its own.
     Whatever the rectangle, what is found in a pixel is the same. With them come those beside them that begin just outside, not `own`,
     which tell how thin a piece at the end is. Of a `closed` screen nothing is asked beyond.
@@ -101,21 +103,20 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
     found, count = [], 0
     for axis, along, across in ((0, cols, rows), (1, rows, cols)):
         size = (asked.screen.width, asked.screen.height)
-        if closed:
-            across = max(across[0], 0), min(across[1], size[1 - axis])
         pixel = torch.arange(*across).repeat_interleave(lines)
         number = torch.arange(lines).repeat(across[1] - across[0])
         shift = rng.uniform(seed, _SCAN, axis, dtype=torch.float64)
         lie = (pixel + (number + shift) / lines).to(asked.device)
         phase = rng.uniform(seed, _SCAN, axis, pixel, number, dtype=torch.float64).to(asked.device)
-        start = torch.arange(along[0] - 1, along[1] + 2, device=asked.device)
+        begin = along[0] - (along[0] <= 0)
+        start = torch.arange(begin - 1, along[1] + 2, device=asked.device)
         many = max(1, AT_ONCE // len(start))
-        for begin in range(0, len(lie), many):
-            part = slice(begin, begin + many)
+        for first in range(0, len(lie), many):
+            part = slice(first, first + many)
             place = start + phase[part, None]
             if closed:
                 place = place.clamp(0, size[axis] * (1 - 2.0**-50))
-            found.append(_differing(asked, axis, lie[part], place, count + begin))
+            found.append(_differing(asked, axis, lie[part], place, count + first))
         count += len(lie)
     cause, branch = (torch.cat(parts) for parts in ([f.cause for f in found], [f.branch for f in found]))
     return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1))
