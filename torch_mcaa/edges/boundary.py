@@ -31,7 +31,7 @@ LINES = 3
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
-"""At least so many brackets, and two a pixel, are quartered at once."""
+"""At least so many segments, and four a pixel, are followed."""
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -101,7 +101,7 @@ def elements(
     asked = Asked(function, screen, program, dtype, device, tally)
     cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
-    most = _FEWEST + 2 * cell.height * cell.width
+    most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
     changes = refine(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
     col, row, jump, weight, cause, branch, at, flat, leap = _weighed(changes, lines)
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]

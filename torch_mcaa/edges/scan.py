@@ -63,9 +63,12 @@ class Brackets:
         """`most` of them at random, if there are more."""
         if len(self) <= most:
             return self
-        number = rng.bits(seed, _THINNED, (self.low * 2**20).long(), self.axis, (self.across * 2**20).long())
-        kept = self.take(torch.argsort(number, stable=True)[:most])
+        kept = self.take(torch.argsort(self.numbers(seed), stable=True)[:most])
         return replace(kept, chance=kept.chance * (most / len(self)))
+
+    def numbers(self, seed: int) -> Tensor:
+        """(N,) random numbers of their places."""
+        return rng.bits(seed, _THINNED, (self.low * 2**20).long(), self.axis, (self.across * 2**20).long())
 
     def places(self, along: Tensor) -> tuple[Tensor, Tensor]:
         """Columns and rows of places (..., N) on the lines."""
@@ -82,13 +85,25 @@ def joined(parts: list[Brackets]) -> Brackets:
 class Segments:
     """Segments that hold a change, with what is known of the first decision that differs between their ends.
 
-    cause: (N,), branch: (N, 3), margin: (2, N), as in `Causes`.
+    cause: (N,), branch: (N, 3), margin: (2, N), as in `Causes`; change: (N,) how much f differs, in the channel that does most.
     """
 
     brackets: Brackets
     cause: Tensor
     branch: Tensor
     margin: Tensor
+    change: Tensor
+
+    def take(self, index: Tensor, chance: Tensor | float = 1.0) -> Segments:
+        """Those at `index`, integers or bool, that were kept with a probability of `chance`."""
+        kept = self.brackets.take(index)
+        return Segments(
+            replace(kept, chance=kept.chance * chance),
+            self.cause[index],
+            self.branch[index],
+            self.margin[:, index],
+            self.change[index],
+        )
 
 
 def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int, seed: int, closed: bool) -> Segments:
@@ -118,8 +133,8 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
                 place = place.clamp(0, size[axis] * (1 - 2.0**-50))
             found.append(_differing(asked, axis, lie[part], place, count + first))
         count += len(lie)
-    cause, branch = (torch.cat(parts) for parts in ([f.cause for f in found], [f.branch for f in found]))
-    return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1))
+    cause, branch, change = (torch.cat([getattr(f, name) for f in found]) for name in ("cause", "branch", "change"))
+    return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1), change)
 
 
 def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) -> Segments:
@@ -127,7 +142,7 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
     level = lie[:, None].expand_as(place)
     col, row = (place, level) if axis == 0 else (level, place)
     shape = (len(place), place.shape[1])
-    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device))
+    values, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device))
     signature = seen.signatures(place.numel()).view(place.shape)
     differs = signature[:, 1:] != signature[:, :-1]
     differs[:, 0] &= differs[:, 1]
@@ -145,7 +160,9 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
         torch.ones_like(lie[line]),
     )
     chosen = differs.flatten()
-    return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen])
+    low = line * shape[1] + segment
+    change = (values[:, low + 1] - values[:, low]).abs().amax(0)
+    return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen], change)
 
 
 def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor) -> Tensor:
