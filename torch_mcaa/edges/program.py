@@ -19,6 +19,7 @@ _PROBE = 0x960BE
 _COUNTS = 13, 17
 """Two numbers of points: the axis that grows with them is the points'."""
 _POINT, _PARAMETER = 1, 2
+_OURS = ("aten", "prim", "prims", "quantized", "torchvision")
 _POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
 
 
@@ -126,6 +127,8 @@ class _Probe(Watch):
             )
         if name in ESCAPES:
             self._escaped(name, depends)
+        if depends & _POINT and _custom(func):
+            self.hidden.append(f"{where()}: {func} is a kernel that the trace cannot see into")
         self._now = depends
         result = super().__torch_function__(func, types, args, kwargs)
         changed = given[:1] if in_place(func) else []
@@ -171,6 +174,12 @@ class _Probe(Watch):
         self._alive.append(tensor)
         self._depends[id(tensor)] = depends
         return depends
+
+
+def _custom(func: Any) -> bool:
+    """Whether a function is an operator that was registered with PyTorch by somebody else."""
+    name = getattr(func, "_qualified_op_name", None) or (func.name() if isinstance(func, torch._ops.OpOverload) else "")
+    return "::" in name and name.split("::")[0] not in _OURS
 
 
 def _tensors(value: Any) -> Iterator[Tensor]:
