@@ -164,6 +164,11 @@ def test_an_error_of_f_is_chained() -> None:
     assert isinstance(caught.value.__cause__, RuntimeError)
 
 
+def test_functions_that_fold_their_points_are_probed_with_whole_rows() -> None:
+    (site,) = probe(lambda x, y: (x.view(-1, 64) > THETA).view(-1).float() + 0 * (x > 100), SCREEN, torch.float32, CPU).sites[1:]
+    assert site.axis == 0
+
+
 def test_two_runs_that_differ_are_an_error() -> None:
     calls = []
 

@@ -31,6 +31,19 @@ class Program:
     problems: tuple[str, ...]
 
 
+def _runs(
+    counts: tuple[int, int],
+    function: Callable[[Tensor, Tensor], Any],
+    screen: Screen,
+    dtype: torch.dtype,
+    device: torch.device,
+) -> tuple[_Probe, _Probe]:
+    first, second = (_Probe(count) for count in counts)
+    for run in (first, second):
+        run.call(function, screen, dtype, device)
+    return first, second
+
+
 @dataclass(frozen=True)
 class _Met:
     name: str
@@ -42,15 +55,16 @@ class _Met:
 
 
 def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> Program:
-    """Run f on 13 and on 17 random points of the screen, in `dtype`.
+    """Run f on 13 and on 17 random points of the screen, or on 256 times as many where it refuses, in `dtype`.
 
     Raises:
         McaaError: f raised (chained), or its decisions are not the same in both runs.
     """
-    runs = [_Probe(count) for count in _COUNTS]
-    for run in runs:
-        run.call(function, screen, dtype, device)
-    first, second = runs
+    try:
+        first, second = _runs(_COUNTS, function, screen, dtype, device)
+    except McaaError:
+        # some functions fold their points into whole rows
+        first, second = _runs((256 * _COUNTS[0], 256 * _COUNTS[1]), function, screen, dtype, device)
     if [(m.name, len(m.shape)) for m in first.met] != [(m.name, len(m.shape)) for m in second.met]:
         raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
     problems = [*first.problems]
@@ -61,7 +75,7 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         problems += hidden
     sites = []
     for one, two in zip(first.met, second.met, strict=True):
-        axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == _COUNTS]
+        axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
         axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
         sites.append(Site(one.name, one.where, axis))
         if one.wrapped:
