@@ -21,7 +21,7 @@ Function = Callable[[Tensor, Tensor], Any]
 
 
 def program_of(f: Function) -> Program:
-    return probe(f, SCREEN, torch.float64, CPU)
+    return probe(f, SCREEN, torch.float64, CPU).all_moving()
 
 
 def row(*values: float) -> Tensor:

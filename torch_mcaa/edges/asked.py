@@ -18,7 +18,7 @@ AT_ONCE = 12 * 256 * 8
 """Points of one call."""
 Tally = Callable[[Tensor, Tensor], None]
 """Told the columns and rows (N,) of every place that f is asked at."""
-V = TypeVar("V", bound=Callable[[int, Lanes], None])
+V = TypeVar("V", bound=Callable[[int, Lanes, bool], None])
 
 
 class Asked:

@@ -35,12 +35,14 @@ Visit = Callable[[int, Decision], None]
 class Site:
     """A decision as the probe met it: `name` of the operation, `where` in the user's code, `axis` of its codes along which the points lie.
 
-    The axis is None for a decision that is the same at all points, or cannot be laid out by points.
+    The axis is None for a decision that is the same at all points, or cannot be laid out by points. `moves`: what it decides by depends on a
+    tensor that wants a gradient; the others' edges stay where they are, and have no part in any derivative.
     """
 
     name: str
     where: str
     axis: int | None
+    moves: bool
 
 
 class Watch(TorchFunctionMode):
@@ -79,7 +81,7 @@ class Traced:
     """
 
     def __init__(
-        self, function: Callable[[Tensor, Tensor], Any], sites: Sequence[Site], visit: Callable[[int, Lanes], None]
+        self, function: Callable[[Tensor, Tensor], Any], sites: Sequence[Site], visit: Callable[[int, Lanes, bool], None]
     ) -> None:
         self.function, self.sites, self.visit = function, sites, visit
         self.points = 0
@@ -105,7 +107,7 @@ class Traced:
             if decision.codes.shape[site.axis] != self.points:
                 self.changed = f"{name} on {tuple(decision.codes.shape)} for {self.points} points ({site.where})"
             else:
-                self.visit(number, Lanes(decision, site.axis))
+                self.visit(number, Lanes(decision, site.axis), site.moves)
 
 
 class Lanes:
@@ -142,7 +144,7 @@ class Lanes:
 
 
 class Signatures:
-    """A visitor: one int64 a point, equal where all decisions are."""
+    """A visitor: one int64 a point, equal where all decisions that move are."""
 
     def __init__(self, device: torch.device) -> None:
         self.device = device
@@ -152,8 +154,9 @@ class Signatures:
         """(count,): of the first points."""
         return torch.zeros(count, dtype=torch.int64, device=self.device) if self._sum is None else self._sum[:count]
 
-    def __call__(self, number: int, lanes: Lanes) -> None:
-        self.add(number, lanes.codes())
+    def __call__(self, number: int, lanes: Lanes, moves: bool) -> None:
+        if moves:
+            self.add(number, lanes.codes())
 
     def add(self, number: int, codes: Tensor) -> None:
         """The sum of the codes times random numbers, modulo 2^64."""
@@ -177,11 +180,12 @@ def _factor(number: int, lane: int) -> int:
 
 
 class Causes(Signatures):
-    """A visitor: the first decision in which neighbours differ, of points (R, K) laid out in one row: the pairs along `axis`, n of them.
+    """A visitor: the first moving decision in which neighbours differ, of points (R, K) laid out in one row: pairs along `axis`, n of them.
 
     Attributes:
         cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
         margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
+        behind: (n,) bool, if `sloped`: one that does not move differs before it, so that its margin may jump.
     """
 
     def __init__(self, shape: tuple[int, int], axis: int, sloped: bool, device: torch.device) -> None:
@@ -193,16 +197,23 @@ class Causes(Signatures):
         self.branch = self.cause.new_zeros(self.pairs, 3)
         self.margin = torch.zeros(2, self.pairs, dtype=torch.float64, device=device)
         self.total: Tensor | None = None
+        self.behind = torch.zeros(self.pairs, dtype=torch.bool, device=device)
 
-    def __call__(self, number: int, lanes: Lanes) -> None:
+    def __call__(self, number: int, lanes: Lanes, moves: bool) -> None:
+        if not (moves or self.sloped):
+            return
         codes = lanes.codes()
-        self.add(number, codes)
+        if moves:
+            self.add(number, codes)
         laid = codes[: self.shape[0] * self.shape[1]].view(*self.shape, -1)
         size = self.shape[self.axis] - 1
         differs = (laid.narrow(self.axis, 0, size) != laid.narrow(self.axis, 1, size)).view(self.pairs, -1)
         # most points change nowhere: few operations on all of them
         new = (differs[:, 0] if differs.shape[1] == 1 else differs.any(1)).nonzero()[:, 0]
         new = new[self.cause[new] < 0]
+        if not moves:
+            self.behind[new] = True
+            return
         if len(new) == 0:
             return
         first = new if self.axis == 0 else new + new // size
@@ -228,8 +239,8 @@ class Margins(Signatures):
         self.wanted = set(cause.unique().tolist())
         self.total = torch.zeros(len(cause), dtype=torch.float64, device=cause.device)
 
-    def __call__(self, number: int, lanes: Lanes) -> None:
-        super().__call__(number, lanes)
+    def __call__(self, number: int, lanes: Lanes, moves: bool) -> None:
+        super().__call__(number, lanes, moves)
         if number in self.wanted:
             point = (self.cause == number).nonzero()[:, 0]
             with torch.set_grad_enabled(self.graph):
