@@ -21,7 +21,7 @@ from torch_mcaa.edges.once import zero_with_gradient
 from torch_mcaa.edges.program import Program, probe
 from torch_mcaa.edges.refine import Changes, refine
 from torch_mcaa.edges.scan import scan, share
-from torch_mcaa.edges.trace import Margins
+from torch_mcaa.edges.visitors import Margins
 from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function

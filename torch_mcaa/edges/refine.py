@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
 from torch_mcaa.edges.scan import Brackets, Segments, joined
-from torch_mcaa.edges.trace import Causes, Margins
+from torch_mcaa.edges.visitors import Causes, Margins
 
 _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
