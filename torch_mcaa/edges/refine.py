@@ -34,7 +34,7 @@ class Changes:
         signatures: (2, N) at the low and at the high end; values: (C, 2, N) float64, f there.
         cause, branch: (N,) and (N, 3), as in `Causes`, with margin: (2, N) at the ends.
         slope: (2, 2, N) the margins' derivatives by column and row (first index) at the ends.
-        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order.
+        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order; rival: (N,), as in `Causes`.
     """
 
     brackets: Brackets
@@ -45,6 +45,7 @@ class Changes:
     margin: Tensor
     slope: Tensor
     behind: Tensor
+    rival: Tensor
 
     def __len__(self) -> int:
         return len(self.cause)
@@ -75,6 +76,7 @@ class Changes:
             self.margin[:, index],
             self.slope[..., index],
             self.behind[index],
+            self.rival[index],
         )
 
 
@@ -206,7 +208,15 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
             none = part.low.new_zeros
             whole = part.line.new_zeros
             return Changes(
-                part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0), whole(0) > 0
+                part,
+                whole(2, 0),
+                none(asked.channels, 2, 0),
+                whole(0),
+                whole(0, 3),
+                none(2, 0),
+                none(2, 2, 0),
+                whole(0) > 0,
+                whole(0),
             )
         with torch.enable_grad():
             col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
@@ -222,6 +232,7 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
                 seen.margin,
                 slope.unflatten(1, (2, count)),
                 seen.behind,
+                seen.rival,
             )
         )
     return _joined(parts)
@@ -236,8 +247,9 @@ def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
 
 
 def _joined(parts: list[Changes]) -> Changes:
-    signatures, values, cause, margin, slope, behind = (
-        torch.cat([getattr(p, name) for p in parts], -1) for name in ("signatures", "values", "cause", "margin", "slope", "behind")
+    signatures, values, cause, margin, slope, behind, rival = (
+        torch.cat([getattr(p, name) for p in parts], -1)
+        for name in ("signatures", "values", "cause", "margin", "slope", "behind", "rival")
     )
     branch = torch.cat([p.branch for p in parts])
-    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind)
+    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind, rival)
