@@ -11,6 +11,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.trace import Lanes, Site
 
 _LANE = 0x1A9E
+MANY = 62
 _FEW = 8
 """Lanes that are summed one by one, which takes no memory."""
 
@@ -57,6 +58,7 @@ class Causes(Signatures):
     Attributes:
         cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
         margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
+        differing: (n,) int64, a bit for each decision that differs; number `MANY` and all after it have one bit.
         behind: (n,) bool, if `sloped`: one that does not move differs before it, so that its margin may jump.
         rival: (n,) the number of a later one that differs too, does not depend on it, and moves with other tensors; -1 where there is none.
     """
@@ -70,6 +72,7 @@ class Causes(Signatures):
         self.branch = self.cause.new_zeros(self.pairs, 3)
         self.margin = torch.zeros(2, self.pairs, dtype=torch.float64, device=device)
         self.total: Tensor | None = None
+        self.differing = torch.zeros_like(self.cause)
         self.behind = torch.zeros(self.pairs, dtype=torch.bool, device=device)
         self.rival = torch.full_like(self.cause, -1)
         self._sites: dict[int, Site] = {}
@@ -85,8 +88,10 @@ class Causes(Signatures):
         differs = (laid.narrow(self.axis, 0, size) != laid.narrow(self.axis, 1, size)).view(self.pairs, -1)
         # most points change nowhere: few operations on all of them
         new = (differs[:, 0] if differs.shape[1] == 1 else differs.any(1)).nonzero()[:, 0]
-        if self.sloped and site.moves:
-            self._rivals(number, site, new)
+        if site.moves and len(new):
+            self.differing[new] |= 1 << min(number, MANY)
+            if self.sloped:
+                self._rivals(number, site, new)
         new = new[self.cause[new] < 0]
         if not site.moves:
             self.behind[new] = True
@@ -108,7 +113,7 @@ class Causes(Signatures):
     def _rivals(self, number: int, site: Site, pairs: Tensor) -> None:
         others = [k for k, s in self._sites.items() if s.tensors != site.tensors and not site.decisions >> k & 1]
         self._sites[number] = site
-        if others and len(pairs):
+        if others:
             found = pairs[torch.isin(self.cause[pairs], torch.tensor(others, device=pairs.device))]
             self.rival[found] = number
 
