@@ -1,0 +1,245 @@
+"""What f does, found by running it on two handfuls of points: its decisions in order, and what no trace of it will see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, name_of
+from torch_mcaa.edges.trace import Site, Watch, changed_program, eagerly, where
+from torch_mcaa.errors import McaaError
+from torch_mcaa.grid import Screen
+
+_PROBE = 0x960BE
+_COUNTS = 13, 17
+"""Two numbers of points: the axis that grows with them is the points'."""
+_POINT, _PARAMETER = 1, 2
+_FIRST = 2
+"""The bit of the first tensor that wants a gradient; that of the first decision is the next one, and so on by turns."""
+_OURS = ("aten", "prim", "prims", "quantized", "torchvision")
+_POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
+
+
+@dataclass(frozen=True)
+class Program:
+    """The decisions of f in order; sentences about what the trace cannot follow, each with a line of the user's code; how many channels."""
+
+    sites: tuple[Site, ...]
+    problems: tuple[str, ...]
+    channels: int
+
+    @property
+    def moves(self) -> bool:
+        """Whether any edge depends on a tensor that wants a gradient."""
+        return any(site.moves and site.axis is not None for site in self.sites)
+
+    def all_moving(self) -> Program:
+        """With all decisions taken for such."""
+        return replace(self, sites=tuple(replace(site, tensors=site.tensors or 1) for site in self.sites))
+
+
+def _runs(
+    counts: tuple[int, int],
+    function: Callable[[Tensor, Tensor], Any],
+    screen: Screen,
+    dtype: torch.dtype,
+    device: torch.device,
+) -> tuple[_Probe, _Probe]:
+    first, second = (_Probe(count) for count in counts)
+    for run in (first, second):
+        run.call(function, screen, dtype, device)
+    return first, second
+
+
+@dataclass(frozen=True)
+class _Met:
+    name: str
+    where: str
+    shape: tuple[int, ...]
+    dim: int | None
+    depends: int
+    wrapped: bool
+
+
+def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> Program:
+    """Run f on 13 and on 17 random points of the screen, or on 256 times as many where it refuses, in `dtype`.
+
+    Raises:
+        McaaError: f raised (chained), or its decisions are not the same in both runs.
+    """
+    try:
+        first, second = _runs(_COUNTS, function, screen, dtype, device)
+    except McaaError:
+        # some functions fold their points into whole rows
+        first, second = _runs((256 * _COUNTS[0], 256 * _COUNTS[1]), function, screen, dtype, device)
+    if [(m.name, len(m.shape)) for m in first.met] != [(m.name, len(m.shape)) for m in second.met]:
+        raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
+    problems = [*first.problems]
+    # with them, tensors whose size follows the number of points, made by nothing that PyTorch could show
+    hidden = [*first.hidden, *(text for place, text in first.strangers.items() if place in second.strangers)]
+    # who declares a jump knows of the code that hides it
+    if not any(met.name == "level_set" for met in first.met):
+        problems += hidden
+    sites = []
+    for one, two in zip(first.met, second.met, strict=True):
+        axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
+        axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
+        sites.append(Site(one.name, one.where, axis, _every_other(one.depends >> _FIRST), _every_other(one.depends >> _FIRST + 1)))
+        if one.wrapped:
+            problems.append(f"{one.where}: {one.name} inside vmap or another function transform")
+        elif axis is None and one.name in _POLES:
+            continue
+        elif axis is None and one.depends & _POINT:
+            problems.append(
+                f"{one.where}: {one.name} mixes points, or takes some of them only, so that it has no margin at a point"
+            )
+        elif axis is None and one.depends & _PARAMETER:
+            problems.append(f"{one.where}: {one.name} decides on parameters alone, and jumps for all points at once")
+    return Program(tuple(sites), tuple(dict.fromkeys(problems)), first.channels)
+
+
+def _every_other(bits: int) -> int:
+    return sum((bits >> 2 * k & 1) << k for k in range(bits.bit_length() // 2 + 1))
+
+
+class _Probe(Watch):
+    """Follows which tensors depend on the points and on parameters, and which came from nowhere."""
+
+    def __init__(self, points: int) -> None:
+        super().__init__(self._decided)
+        self.points = points
+        self.channels = 1
+        self.met: list[_Met] = []
+        self.problems: list[str] = []
+        self.hidden: list[str] = []
+        self.strangers: dict[tuple[int, int], str] = {}
+        self._depends: dict[int, int] = {}
+        self._alive: list[Tensor] = []
+        self._calls = 0
+        self._tensors = 0
+        self._now = 0
+        self._leaves: tuple[Tensor, ...] = ()
+
+    def call(self, function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> None:
+        index = torch.arange(self.points)
+        col, row = (
+            size * rng.uniform(0, _PROBE, axis, index, dtype=torch.float64)
+            for axis, size in enumerate((screen.width, screen.height))
+        )
+        with torch.enable_grad():
+            self._leaves = tuple(t.to(device, dtype).requires_grad_() for t in (screen.x_of(col), screen.y_of(row)))
+            x, y = (leaf.clone() for leaf in self._leaves)
+            for tensor in (x, y):
+                self._note(tensor, _POINT)
+            try:
+                with eagerly(), self:
+                    returned = function(x, y)
+            except Exception as error:
+                raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {self.points} points") from error
+            # a tensor of one axis more than the points' has one for channels
+            self.channels = len(returned) if not isinstance(returned, Tensor) or returned.ndim > x.ndim else 1
+            for tensor in _tensors(returned):
+                self._origin(tensor, "what f returns")
+
+    def __torch_function__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: dict[str, Any] | None = None) -> Any:
+        kwargs = kwargs or {}
+        self._calls += 1
+        given = list(_tensors((args, kwargs)))
+        stranger = bool(given) and id(given[0]) not in self._depends
+        depends = 0
+        for tensor in given:
+            depends |= self._origin(tensor, name_of(func))
+        name = getattr(func, "__name__", "")
+        if stranger and in_place(func) and name != "requires_grad_":
+            self.problems.append(
+                f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one"
+            )
+        if name in ESCAPES:
+            self._escaped(name, depends)
+        if depends & _POINT and _custom(func):
+            self.hidden.append(f"{where()}: {func} is a kernel that the trace cannot see into")
+        self._now, number = depends, self.number
+        result = super().__torch_function__(func, types, args, kwargs)
+        if self.number > number:
+            depends |= 1 << _FIRST + 1 + 2 * number
+        changed = given[:1] if in_place(func) else []
+        for tensor in (*_tensors(result), *changed):
+            self._note(tensor, depends)
+        return result
+
+    def _escaped(self, name: str, depends: int) -> None:
+        if depends & _POINT and name == "__bool__":
+            self.problems.append(f"{where()}: {name} lets Python's control flow depend on the points")
+        elif depends & _POINT:
+            self.hidden.append(f"{where()}: {name} takes values of the points out of PyTorch")
+        elif depends & _PARAMETER:
+            self.hidden.append(f"{where()}: {name} takes a parameter's value out of PyTorch, and its gradient is lost")
+
+    def _decided(self, number: int, decision: Decision, func: Any) -> None:
+        codes = decision.codes
+        dim = decision.dim if isinstance(decision, Choice) else None
+        wrapped = torch._C._functorch.is_functorch_wrapped_tensor(codes)  # pyright: ignore[reportAttributeAccessIssue]
+        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, wrapped))
+
+    def _note(self, tensor: Tensor, depends: int) -> None:
+        self._depends[id(tensor)] = self._depends.get(id(tensor), 0) | depends
+        # an id is one tensor's only while that lives
+        self._alive.append(tensor)
+
+    def _origin(self, tensor: Tensor, user: str) -> int:
+        """What a tensor depends on; one that f did not make is a parameter, a constant, or made where nothing is seen."""
+        known = self._depends.get(id(tensor))
+        if known is not None:
+            return known
+        depends = 0
+        if tensor.requires_grad:
+            depends = _PARAMETER | 1 << _FIRST + 2 * self._tensors
+            self._tensors += 1
+        if tensor.grad_fn is not None and _reaches(tensor, self._leaves):
+            depends |= _POINT
+            self.hidden.append(
+                f"{where()}: {user} takes a tensor from code that the trace cannot see (scripted, compiled, or a kernel)"
+            )
+        elif not tensor.requires_grad:
+            for axis, size in enumerate(tensor.shape):
+                if size == self.points:
+                    text = f"{where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
+                    self.strangers[self._calls, axis] = text
+        self._alive.append(tensor)
+        self._depends[id(tensor)] = depends
+        return depends
+
+
+def _custom(func: Any) -> bool:
+    """Whether a function is an operator that was registered with PyTorch by somebody else."""
+    name = getattr(func, "_qualified_op_name", None) or (func.name() if isinstance(func, torch._ops.OpOverload) else "")
+    return "::" in name and name.split("::")[0] not in _OURS
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            yield from _tensors(part)
+    elif isinstance(value, dict):
+        yield from _tensors(list(value.values()))
+
+
+def _reaches(tensor: Tensor, leaves: Sequence[Tensor]) -> bool:
+    """Whether the graph behind a tensor holds one of the leaves."""
+    seen, stack = set(), [tensor.grad_fn]
+    while stack:
+        node = stack.pop()
+        if node is None or node in seen:
+            continue
+        seen.add(node)
+        if any(getattr(node, "variable", None) is leaf for leaf in leaves):
+            return True
+        stack.extend(parent for parent, _ in node.next_functions)
+    return False

@@ -1,0 +1,258 @@
+"""From segments in which f decides differently to where it does, by the margins where they lead there, by bisection where not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.asked import AT_ONCE, Asked
+from torch_mcaa.edges.scan import Brackets, Segments, joined
+from torch_mcaa.edges.visitors import MANY, Causes, Margins
+
+_NARROW = 2.0**-10
+"""Px: the width of the last brackets."""
+_NARROWEST = 2.0**-26
+"""Px: of those where the margin looks like a step."""
+_FREQUENT, _TRIED, _KEPT = 256, 32, 16
+_SMOOTH = 0.02
+"""A jump is at least so much of what f changes by in segments of 1 px."""
+_WORTH = 0x3057
+_DEARER = 4
+"""Of the segments that may be followed, one in so many may be quartered at once, which costs most."""
+_TIMES = 100
+"""A margin that changes so many times more than its slope explains is not continuous."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """The changes in narrow brackets, N of them.
+
+    Attributes:
+        signatures: (2, N) at the low and at the high end; values: (C, 2, N) float64, f there.
+        cause, branch: (N,) and (N, 3), as in `Causes`, with margin: (2, N) at the ends.
+        slope: (2, 2, N) the margins' derivatives by column and row (first index) at the ends.
+        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order; rival: (N,), as in `Causes`.
+    """
+
+    brackets: Brackets
+    signatures: Tensor
+    values: Tensor
+    cause: Tensor
+    branch: Tensor
+    margin: Tensor
+    slope: Tensor
+    behind: Tensor
+    rival: Tensor
+
+    def __len__(self) -> int:
+        return len(self.cause)
+
+    @property
+    def flat(self) -> Tensor:
+        """bool (N,): margins without a slope at either end."""
+        return ~(self.slope.abs().sum(0) > 0).any(0)
+
+    @property
+    def leap(self) -> Tensor:
+        """bool (N,): margins that change far more than their slopes explain, so that they are not continuous, or nearly steps."""
+        along = self.along(self.slope).abs().amax(0) * (self.brackets.high - self.brackets.low)
+        return ~self.flat & ((self.margin[1] - self.margin[0]).abs() > _TIMES * along)
+
+    def along(self, slope: Tensor) -> Tensor:
+        """What belongs to the bracket's own axis, of (2, ..., N): one for columns, one for rows."""
+        return torch.where(self.brackets.axis == 0, slope[0], slope[1])
+
+    def take(self, index: Tensor) -> Changes:
+        """Those at `index`, integers or bool."""
+        return Changes(
+            self.brackets.take(index),
+            self.signatures[:, index],
+            self.values[..., index],
+            self.cause[index],
+            self.branch[index],
+            self.margin[:, index],
+            self.slope[..., index],
+            self.behind[index],
+            self.rival[index],
+        )
+
+
+def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
+    """All changes in segments between whose ends the signatures differ.
+
+    The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
+    foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
+    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more segments than `most`, and of more than
+    a quarter of that at once, as where f is noise, so many are kept at random, and count for the others.
+    """
+    found = _worthwhile(asked, found, most, seed)
+    if len(found.cause) > most:
+        found = found.take(torch.argsort(found.brackets.numbers(seed), stable=True)[:most], most / len(found.cause))
+    return _refined(asked, found, most, seed)
+
+
+def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
+    """Fewer of the segments in which such decisions differ as do not seem to make f jump, like those at texels' borders in a bilinear texture.
+
+    Of all those in which the same decisions differ, if there are many, some are tried; where f changes no more across any edge in them than
+    it does smoothly, one of 16 is kept.
+    """
+    patterns, group, counts = torch.unique(found.differing, return_inverse=True, return_counts=True)
+    frequent = ((counts > _FREQUENT) & (patterns < 1 << MANY)).nonzero()[:, 0].tolist()
+    if not frequent:
+        return found
+    number = found.brackets.numbers(seed)
+    order = torch.argsort(number, stable=True)
+    tried = found.take(torch.cat([order[group[order] == k][:_TRIED] for k in frequent]))
+    groups = torch.tensor(frequent, device=asked.device).repeat_interleave(_TRIED)
+    tried = replace(tried, brackets=replace(tried.brackets, group=groups))
+    changes = _refined(asked, tried, most, seed)
+    jump, size = (torch.zeros(len(patterns), dtype=torch.float64, device=asked.device) for _ in range(2))
+    jump.scatter_reduce_(0, changes.brackets.group, (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0), "amax")
+    size.scatter_reduce_(0, groups, tried.change, "amax")
+    chance = torch.ones_like(size)
+    chance[frequent] = torch.where(jump[frequent] < _SMOOTH * size[frequent], 1 / _KEPT, 1.0).to(torch.float64)
+    if bool((chance == 1).all()):
+        return found
+    # another random number than that which chose those tried
+    kept = rng.uniform(seed, _WORTH, number, dtype=torch.float64) < chance[group]
+    return found.take(kept, chance[group][kept])
+
+
+def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
+    """All changes in the segments."""
+    segments = found.brackets
+    first = _straight(segments, found.margin)
+    signature, margin = _at(asked, found, first)
+    left, right = signature != segments.before, signature != segments.after
+    several = segments.take(left & right)
+    rest = [several.split(first[None, left & right], signature[None, left & right])]
+    single = left ^ right
+    low, high = torch.where(left, segments.low, first), torch.where(left, first, segments.high)
+    root = _parabola(segments, first, found.margin, margin)[single]
+    one = segments.take(single)
+    one = replace(
+        one,
+        low=low[single],
+        high=high[single],
+        before=torch.where(left[single], one.before, signature[single]),
+        after=torch.where(left[single], signature[single], one.after),
+    )
+    root = torch.where((root >= one.low) & (root <= one.high), root, (one.low + one.high) / 2)
+    near = replace(one, low=torch.maximum(one.low, root - _NARROW / 2), high=torch.minimum(one.high, root + _NARROW / 2))
+    tried = _examined(asked, near)
+    hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
+    missed = near.take(~hit)
+    rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
+    halved = _examined(asked, _quartered(asked, joined(rest), _NARROW, most, seed))
+    changes = _joined([tried.take(hit), halved])
+    # the margin may saturate a little beside the edge
+    astray = (changes.flat | changes.leap) & ~changes.behind
+    if not bool(astray.any()):
+        return changes
+    closer = _examined(asked, _quartered(asked, changes.brackets.take(astray), _NARROWEST, most, seed))
+    return _joined([changes.take(~astray), closer])
+
+
+def _quartered(asked: Asked, brackets: Brackets, width: float, most: int, seed: int) -> Brackets:
+    """All changes in them, in brackets no wider than `width`."""
+    most //= _DEARER
+    done, share = [], torch.tensor([[0.25], [0.5], [0.75]], dtype=torch.float64, device=asked.device)
+    while len(brackets):
+        narrow = brackets.high - brackets.low <= width
+        done.append(brackets.take(narrow))
+        brackets = brackets.take(~narrow).thinned(most, seed)
+        places = torch.lerp(brackets.low, brackets.high, share)
+        col, row = brackets.places(places)
+        signatures = asked.signatures(col.flatten(), row.flatten()).view(places.shape)
+        brackets = brackets.split(places, signatures)
+    return joined([*done, brackets])
+
+
+def _straight(segments: Brackets, margin: Tensor) -> Tensor:
+    """The root of the line through the margins at the ends, kept away from them; the middle where they have one sign."""
+    share = margin[0] / (margin[0] - margin[1])
+    share = torch.where((share > 0) & (share < 1), share.clamp(0.02, 0.98), 0.5)
+    return segments.low + share * (segments.high - segments.low)
+
+
+def _parabola(segments: Brackets, first: Tensor, margin: Tensor, there: Tensor) -> Tensor:
+    """The place as a parabola in the margin, through its three values, where that is 0 (inverse quadratic interpolation)."""
+    a, b, c = margin[0], there, margin[1]
+    low = segments.low * (b * c / ((a - b) * (a - c)))
+    return low + first * (a * c / ((b - a) * (b - c))) + segments.high * (a * b / ((c - a) * (c - b)))
+
+
+def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor]:
+    """(N,) signatures, and margins of the segments' causes, at a place in each."""
+    found = []
+    col, row = segments.brackets.places(place)
+    for start in range(0, len(place), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        cause, branch = segments.cause[part], segments.branch[part]
+        _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b, False))
+        found.append((seen.signatures(len(cause)), seen.total.detach()))
+    if not found:
+        return segments.brackets.before, place
+    signature, margin = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return signature, margin
+
+
+def _examined(asked: Asked, brackets: Brackets) -> Changes:
+    """f again at the ends of brackets, with what changes between them and its margin's derivatives."""
+    parts = []
+    for start in range(0, max(1, len(brackets)), AT_ONCE // 2):
+        part = brackets.take(torch.arange(start, min(start + AT_ONCE // 2, len(brackets)), device=asked.device))
+        count = len(part)
+        if count == 0:
+            none = part.low.new_zeros
+            whole = part.line.new_zeros
+            return Changes(
+                part,
+                whole(2, 0),
+                none(asked.channels, 2, 0),
+                whole(0),
+                whole(0, 3),
+                none(2, 0),
+                none(2, 2, 0),
+                whole(0) > 0,
+                whole(0),
+            )
+        with torch.enable_grad():
+            col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
+            values, seen = asked.run(col, row, lambda c=count: Causes((2, c), 0, True, asked.device))
+            slope = _slopes(seen.total, col, row)
+        parts.append(
+            Changes(
+                part,
+                seen.signatures(2 * count).view(2, count),
+                values.detach().unflatten(1, (2, count)),
+                seen.cause,
+                seen.branch,
+                seen.margin,
+                slope.unflatten(1, (2, count)),
+                seen.behind,
+                seen.rival,
+            )
+        )
+    return _joined(parts)
+
+
+def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
+    """(2, N): the derivatives of the margins along columns and rows, 0 where there is none."""
+    if total is None or not total.requires_grad:
+        return torch.zeros(2, len(col), dtype=col.dtype, device=col.device)
+    slopes = torch.autograd.grad(total, (col, row), allow_unused=True)
+    return torch.stack([torch.zeros_like(col) if slope is None else slope for slope in slopes]).nan_to_num(0.0, 0.0, 0.0)
+
+
+def _joined(parts: list[Changes]) -> Changes:
+    signatures, values, cause, margin, slope, behind, rival = (
+        torch.cat([getattr(p, name) for p in parts], -1)
+        for name in ("signatures", "values", "cause", "margin", "slope", "behind", "rival")
+    )
+    branch = torch.cat([p.branch for p in parts])
+    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind, rival)
