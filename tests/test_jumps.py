@@ -87,6 +87,24 @@ def test_other_filters_along_an_axis(filter: mcaa.Mitchell) -> None:
     assert float((picture.image[0] - truth).abs().max()) < 2e-4
 
 
+@pytest.mark.parametrize(("spp", "most"), [(16, 1e-3), (64, 1e-4)])
+@pytest.mark.parametrize("width", [1.0, 2.0])
+def test_the_box(width: float, spp: int, most: float) -> None:
+    """An edge and a disc under a filter that ends in a step: of the order of n^-2; a fixed lattice is at 4e-2 and 1.4e-2."""
+    filter, centre = mcaa.Box(width), torch.arange(96, dtype=torch.float64) + 0.5
+    for scene in (scenes.HalfPlane(0.7, 68.3), scenes.HalfPlane(0.0, 40.3), scenes.Disc(47.3, 48.8, 30.2)):
+        truth = scene.exact(centre[None], centre[:, None], filter)
+        picture = mcaa.render(scene, (96, 96), filter=filter, spp=spp, dtype=torch.float64)
+        error, busy = picture.image[0] - truth, (truth > 1e-3) & (truth < 1 - 1e-3)
+        assert float(error[busy].square().mean().sqrt()) < most
+        assert float((error.abs() <= 1.96 * picture.stderr[0])[busy].to(torch.float64).mean()) > 0.9
+
+
+def test_a_box_that_is_not_whole_pixels_wide_is_sampled() -> None:
+    picture = mcaa.render(scenes.HalfPlane(0.7, 40.3), (64, 64), filter=mcaa.Box(1.3))
+    assert picture.models == MODELS and not bool(picture.model.any())
+
+
 def test_models_say_what_was_used() -> None:
     picture = mcaa.render(scenes.Disc(64.3, 63.2, 30), (128, 128))
     assert picture.models == MODELS

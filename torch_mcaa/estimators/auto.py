@@ -21,6 +21,7 @@ from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import MODELS, Part, Parts, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
+from torch_mcaa.estimators.sides import ends_in_step, sides
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 
@@ -31,8 +32,6 @@ _RING = 2
 """Pixels around a cell that the pilot has samples in."""
 _FEWEST = 5
 """Evaluations a pixel for a pilot and a lattice of 3 with room to locate its jumps; with fewer there is no pilot."""
-_CUT = 0.01
-"""What w may have at its sides, in parts of what it has in the middle."""
 _FEW = 256
 """Pixels of a cell that cannot pay for a look at their candidates: they are sampled plainly."""
 _AGAIN = 6
@@ -52,8 +51,8 @@ class Auto(Estimator):
 
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
     Where it is noise, has detail everywhere, or jumps more often than can be followed: `Shared(Lattice())` with all evaluations that
-    are left. `Rendering.model` says which. Filters that do not separate, do not end or end in a step, as the box does, and fewer than 5
-    evaluations a pixel, are `Shared(Lattice())` throughout.
+    are left. `Rendering.model` says which. Filters that do not separate, do not end, or end in a step and are not whole pixels wide, and
+    fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout.
 
     Not labelled unbiased: what is done is decided by the samples.
     """
@@ -98,12 +97,11 @@ class Auto(Estimator):
 
 
 def _can_locate(task: Task) -> bool:
-    """Whether the mean of the lines is good once jumps are located: w must go to 0 at its sides, or those are ends that lines just miss or meet."""
+    """Whether the mean of the lines is good once jumps are located: where w ends in a step, lines must lie alike about its sides."""
     filter = task.filter
     if not isinstance(filter, SeparableFilter) or math.isinf(filter.half_width):
         return False
-    middle, side = filter.profile(torch.tensor([0.0, filter.half_width], dtype=torch.float64)).abs().tolist()
-    return side < _CUT * middle
+    return not ends_in_step(filter) or sides(filter) is not None
 
 
 class AutoRound(Round):

@@ -31,8 +31,9 @@ class JumpCorrected(Estimator):
     Where a look at some candidates finds f continuous, or noise, or the evaluations do not suffice, the lattice is pooled with another that
     has the rest, as in `Shared(Lattice())`. Not labelled unbiased: where to look is decided by the samples.
 
-    For filters that separate and end. Under those that end in a step, as the box does, edges across the lines keep an error of 0.3 / n: whether
-    a line lies just inside or outside is not corrected. Few pixels, under 256, are sampled plainly.
+    For filters that separate and end. Under those that end in a step and are whole pixels wide, as the box is, the lines lie alike about
+    every pixel's sides, so that their mean errs by the order of n^-2; under those of other widths edges across the lines keep an error of
+    0.3 / n: whether a line lies just inside or outside is not corrected. Few pixels, under 256, are sampled plainly.
 
     Attributes:
         base: the pattern whose samples lie on lines along both axes: a rank-1 lattice.

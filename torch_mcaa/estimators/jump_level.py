@@ -19,6 +19,7 @@ from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
+from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns import Lattice
@@ -120,7 +121,7 @@ class Leveller:
         """A shift of a lattice of `count`, asked as far as the pixels `wanted` (h, w) need it; the axes of `known` are taken over."""
         window, halo, cell = self.window, self.window.halo, self.cell
         sx, sy = (float(rng.uniform(self.seed, _SHIFT, number, axis, dtype=torch.float64)) for axis in (0, 1))
-        strip = Lattice().strip(count, number, False, (sx, sy), lines=True)
+        strip = Lattice().strip(count, number, False, (sx, sy), lines=True, sides=sides(window.filter))
         x, y = (torch.from_numpy(places).to(window.device) for places in (strip.x, strip.y))
         asked = dilated(torch.nn.functional.pad(wanted, (halo,) * 4), max(1, halo - 1))
         row, col = cell.row - halo, cell.col - halo

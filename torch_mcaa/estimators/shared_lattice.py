@@ -14,6 +14,7 @@ from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.estimators.poles import Poles
+from torch_mcaa.estimators.sides import sides
 from torch_mcaa.estimators.splat import Splat, Sums
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
@@ -63,7 +64,9 @@ class LatticeRound(Round):
         self.task = task
         audited = audited and contrast
         # rounds are compared with one another: what one is blind to the next should see
-        self.strip = Lattice().strip(spp, replicate, audited, (sx, sy), lines, mirrored=number % 2 == 1)
+        self.strip = Lattice().strip(
+            spp, replicate, audited, (sx, sy), lines, mirrored=number % 2 == 1, sides=sides(task.filter) if lines else None
+        )
         self.contrast = contrast
         # a strip without a point to spare has no audit
         audited = audited and self.strip.count < spp * self.strip.period

@@ -105,12 +105,13 @@ class Lattice(Pattern):
         shift: tuple[float, float],
         lines: bool = False,
         mirrored: bool = False,
+        sides: float | None = None,
     ) -> Strip:
         """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
 
         With `audited` at least one evaluation of each strip is left over for a point off the lattice, but for spp = 1. With `lines` the
         period is 1, so that the points lie 1 px apart on lines along both axes, as many lines a pixel as points. The `mirrored` lattice has
-        other dual vectors that are as long.
+        other dual vectors that are as long. With `sides` the shift is moved to where the lines lie halfway about that fraction of a pixel.
         """
         period, count, generator = STRIPS[max(s for s in STRIPS if s <= spp)]
         if replicate or not audited or lines or spp > max(STRIPS):
@@ -121,6 +122,8 @@ class Lattice(Pattern):
             generator = ranked[replicate // 2 % len(ranked)][1]
         if (replicate + mirrored) % 2:
             generator = -generator % count
+        if sides is not None:
+            shift = tuple(sides + (np.floor(s * count) + 0.5) / count for s in shift)  # pyright: ignore[reportAssignmentType]
         index = np.arange(count)
         x, y = (generator * index % count) / count, period * index / count
         # k with g k_x + period k_y = 0 mod count, odd in the wanted places: k . p is an integer, its parity the character
