@@ -28,8 +28,8 @@ _BLOCK = 16
 _GROWTH, _SURE = 1.0, 1.1
 """A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
 _GROWTH_LOCATED = 4.0
-_FEW_SHIFTS = 4.30 / 2
-"""Of two degrees of freedom, over that of many: two shifts that agree at a corner by chance would pass as good."""
+_FEW_SHIFTS = (6.0, 2.78 / 2)
+"""What a standard error from two shifts, one round, counts for, and from four (Student over normal): two may agree at a corner by chance."""
 _STEPS = 2
 """Numbers of evaluations that a round may ask for, in each octave."""
 _PILOT_SHARE = 4
@@ -72,6 +72,7 @@ class Rounds:
             self._areas.append((area, len(blocks)))
             self.cells += blocks
         self.weights, self.sizes, self._kept = ([0.0] * len(self.cells) for _ in range(3))
+        self._counts = [0] * len(self.cells)
         chosen = self.estimator
         self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
         self.single = not adaptive and (not self.allocated or self._known is not None)
@@ -161,6 +162,8 @@ class Rounds:
         had = self.sizes[index]
         excess = self._excess(index)
         if self._located(index):
+            # of the next one all that is asked is what two rounds have to show
+            excess *= (_FEW_SHIFTS[1] / _FEW_SHIFTS[self._counts[index] > 1]) ** 2
             more = had * min(_GROWTH_LOCATED, _SURE * excess**0.25)
         else:
             more = had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)
@@ -273,6 +276,7 @@ class Rounds:
             self.weights[index] = min(old + weight, 1 / max(1e-300, float(told[told.isfinite()].mean(dtype=torch.float64))))
         self.sizes[index] += points
         self._kept[index] += points
+        self._counts[index] += 1
         if replicated:
             if share is None:
                 self._blind[index] = new.blind
@@ -286,7 +290,7 @@ class Rounds:
         """A cell's largest variance in parts of what is allowed, where it is told by two shifts at a few pixels with Student's quantile."""
         assert self.tolerance is not None
         excess = self.tolerance.excess(*self._seen(index))
-        return _FEW_SHIFTS**2 * excess if self._located(index) else excess
+        return _FEW_SHIFTS[self._counts[index] > 1] ** 2 * excess if self._located(index) else excess
 
     def _located(self, index: int) -> bool:
         return self.model is not None and self.estimator.locates(self.model[self.cells[index].window])
