@@ -48,6 +48,51 @@ class Ramps:
         return at_low + (at_high - at_low) * torch.special.ndtr(z) + STD * slope * density
 
 
+@dataclass(frozen=True)
+class Steep:
+    """A continuous step of `width` px across a line."""
+
+    angle: float
+    offset: float
+    width: float
+
+    def __call__(self, x: Tensor, y: Tensor) -> Tensor:
+        return ((x * math.cos(self.angle) + y * math.sin(self.angle) - self.offset) / self.width + 0.5).clamp(0, 1)
+
+    def exact(self, cx: Tensor, cy: Tensor) -> Tensor:
+        """The integral of the normal distribution function between the step's ends, over its width."""
+        middle = cx * math.cos(self.angle) + cy * math.sin(self.angle) - self.offset
+
+        def integral(t: Tensor) -> Tensor:
+            z = t / STD
+            return STD * (z * torch.special.ndtr(z) + torch.exp(-z * z / 2) / math.sqrt(2 * math.pi))
+
+        return (integral(middle + self.width / 2) - integral(middle - self.width / 2)) / self.width
+
+
+@dataclass(frozen=True)
+class Stripes:
+    """`count` stripes of `width` px along a line, `period` px apart."""
+
+    angle: float
+    offset: float
+    width: float
+    period: float
+    count: int
+
+    def __call__(self, x: Tensor, y: Tensor) -> Tensor:
+        place = (x * math.cos(self.angle) + y * math.sin(self.angle) - self.offset) / self.period
+        return ((place >= 0) & (place < self.count) & (place % 1 < self.width / self.period)).to(x.dtype)
+
+    def exact(self, cx: Tensor, cy: Tensor) -> Tensor:
+        middle = cx * math.cos(self.angle) + cy * math.sin(self.angle) - self.offset
+        starts = self.period * torch.arange(self.count, dtype=torch.float64)
+        return sum(
+            (torch.special.ndtr((middle - a) / STD) - torch.special.ndtr((middle - a - self.width) / STD) for a in starts.tolist()),
+            torch.zeros_like(middle),
+        )
+
+
 def _uniform(generator: torch.Generator, low: float, high: float) -> float:
     return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
 
@@ -93,7 +138,8 @@ def _straight(generator: torch.Generator, width: float | None, *angles: float) -
     return scenes.HalfPlane(angle, offset) if width is None else scenes.Stripe(angle, offset, width)
 
 
-Draw = Callable[[torch.Generator], scenes.Scene | Ramps]
+Drawn = Ramps | Steep | Stripes
+Draw = Callable[[torch.Generator], scenes.Scene | Drawn]
 AXIS = tuple(math.pi / 2 * k for k in range(4))
 CASES: dict[str, Draw] = {
     "edges": lambda g: _straight(g, None),
@@ -108,6 +154,13 @@ CASES: dict[str, Draw] = {
     "0.1 px lines": lambda g: _straight(g, 0.1),
     "0.1 px lines along an axis": lambda g: _straight(g, 0.1, *AXIS),
     "checkerboards of 16 to 40 px": lambda g: scenes.Checkerboard(_uniform(g, 32, 80), (_uniform(g, 0, 9), _uniform(g, 0, 9))),
+    "steps of 0.02 px": lambda g: Steep(*_line(g), 0.02),
+    "steps of 0.1 px": lambda g: Steep(*_line(g), 0.1),
+    "steps of 0.25 px": lambda g: Steep(*_line(g), 0.25),
+    "steps of 1 px": lambda g: Steep(*_line(g), 1.0),
+    "two 0.1 px lines 0.6 px apart": lambda g: Stripes(*_line(g), 0.1, 0.6, 2),
+    "0.09 px stripes every 0.35 px": lambda g: Stripes(*_line(g), 0.0875, 0.35, 17),
+    "0.6 px stripes every 1.5 px": lambda g: Stripes(*_line(g), 0.6, 1.5, 8),
 }
 
 
@@ -132,7 +185,7 @@ def score(
     for seed in range(first, first + seeds):
         scene = CASES[case](generator)
         cx, cy = centre[None, :], centre[:, None]
-        truth = scene.exact(cx, cy) if isinstance(scene, Ramps) else scene.exact(cx, cy, UNCUT)
+        truth = scene.exact(cx, cy) if isinstance(scene, Drawn) else scene.exact(cx, cy, UNCUT)
         picture = mcaa.render(
             scene, (SIZE, SIZE), filter=FILTER, estimator=chosen, spp=spp, seed=seed, dtype=dtype, tolerance=tolerance
         )

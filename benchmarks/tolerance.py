@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
-from jumps import CASES, FILTER, SIZE, UNCUT, Ramps
+from jumps import CASES, FILTER, SIZE, UNCUT, Drawn
 from torch import Tensor
 
 import torch_mcaa as mcaa
@@ -29,7 +29,7 @@ COUNTS = [*range(1, 17), 18, 20, 22, 24, 28, 32, 40, 48, 64, 80, 96, 128, 160, 1
 _SLOW = 64
 """The most evaluations that `Shared(Sobol())` is tried with: it is slow, and no match for a lattice where so many are needed."""
 TONES = ((0.3, 0.5), (0.9, 0.2), (1.9, -0.8), (1.3, 1.6), (2.6, 1.1), (4.1, 3.3))
-Draw = Callable[[torch.Generator], "scenes.Scene | Ramps"]
+Draw = Callable[[torch.Generator], "scenes.Scene | Drawn"]
 
 
 def _fixed(scene: scenes.Scene) -> Draw:
@@ -63,7 +63,7 @@ class Met:
         return self.rmse <= tolerance and self.worst <= WORST * tolerance
 
 
-def rendered(scene: scenes.Scene | Ramps, truth: Tensor, estimator: Estimator, spp: int, seed: int, tolerance: float | None) -> Met:
+def rendered(scene: scenes.Scene | Drawn, truth: Tensor, estimator: Estimator, spp: int, seed: int, tolerance: float | None) -> Met:
     """A picture and how far it is off."""
     picture = mcaa.render(scene, (SIZE, SIZE), filter=FILTER, estimator=estimator, spp=spp, seed=seed, tolerance=tolerance)
     error = picture.image.to(torch.float64) - truth
@@ -84,7 +84,7 @@ def rendered(scene: scenes.Scene | Ramps, truth: Tensor, estimator: Estimator, s
     )
 
 
-def hindsight(scene: scenes.Scene | Ramps, truth: Tensor, tolerance: float, seed: int) -> tuple[float, str]:
+def hindsight(scene: scenes.Scene | Drawn, truth: Tensor, tolerance: float, seed: int) -> tuple[float, str]:
     """Evaluations a pixel of the best fixed choice, and its name."""
     best, name = math.inf, "none"
     for estimator in FIXED:
@@ -100,15 +100,15 @@ def hindsight(scene: scenes.Scene | Ramps, truth: Tensor, tolerance: float, seed
     return best, name
 
 
-def truth_of(scene: scenes.Scene | Ramps) -> Tensor:
+def truth_of(scene: scenes.Scene | Drawn) -> Tensor:
     """(C, SIZE, SIZE) float64."""
     centre = torch.arange(SIZE, dtype=torch.float64) + 0.5
     cx, cy = centre[None, :], centre[:, None]
-    truth = scene.exact(cx, cy) if isinstance(scene, Ramps) else scene.exact(cx, cy, UNCUT)
+    truth = scene.exact(cx, cy) if isinstance(scene, Drawn) else scene.exact(cx, cy, UNCUT)
     return truth if truth.dim() == 3 else truth[None]
 
 
-def drawn(name: str, seeds: int) -> Iterator[tuple[int, scenes.Scene | Ramps, Tensor]]:
+def drawn(name: str, seeds: int) -> Iterator[tuple[int, scenes.Scene | Drawn, Tensor]]:
     """The first `seeds` scenes of a name, with their seeds and closed forms."""
     generator = torch.Generator().manual_seed(20261125)
     for seed in range(seeds):

@@ -27,6 +27,13 @@ REACH = {
     "0.1 px lines": 3e-5,
     "0.1 px lines along an axis": 3e-5,
     "checkerboards of 16 to 40 px": 2e-3,
+    "steps of 0.02 px": 1e-3,
+    "steps of 0.1 px": 1e-3,
+    "steps of 0.25 px": 1e-3,
+    "steps of 1 px": 1e-3,
+    "two 0.1 px lines 0.6 px apart": 1e-2,
+    "0.09 px stripes every 0.35 px": 2e-2,
+    "0.6 px stripes every 1.5 px": 2e-2,
 }
 
 
