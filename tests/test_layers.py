@@ -26,7 +26,9 @@ FLOORS = (
     {"estimators"},
     {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out"},
     {"rounds"},
-    {"render"},
+    {"render", "replay"},
+    {"supersampler"},
+    {"warp"},
     {"image_io"},
     {"demo", "cli"},
 )

@@ -30,6 +30,7 @@ from torch_mcaa.integrand import from_points
 from torch_mcaa.patterns import Independent, Jittered, Lattice, MultiJittered, Sobol
 from torch_mcaa.render import render
 from torch_mcaa.rendering import Rendering
+from torch_mcaa.supersampler import Supersampler
 from torch_mcaa.texture import Texture
 from torch_mcaa.tolerance import Tolerance
 
@@ -67,6 +68,7 @@ __all__ = [
     "Sinc",
     "Sobol",
     "Stratified",
+    "Supersampler",
     "Tabulated",
     "Tent",
     "Texture",
