@@ -33,6 +33,7 @@ from torch_mcaa.rendering import Rendering
 from torch_mcaa.supersampler import Supersampler
 from torch_mcaa.texture import Texture
 from torch_mcaa.tolerance import Tolerance
+from torch_mcaa.warp import resize, warp_affine, warp_perspective
 
 __version__ = "0.1.0"
 
@@ -76,4 +77,7 @@ __all__ = [
     "Uniform",
     "from_points",
     "render",
+    "resize",
+    "warp_affine",
+    "warp_perspective",
 ]

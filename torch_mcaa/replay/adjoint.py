@@ -7,6 +7,7 @@ with respect to f(p) is A(p) = sum_h K(p, h) dL/dphi_h. For a lattice K is the s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -51,6 +52,8 @@ class Adjoint:
         # a row's weights sum to 1 over the samples; rows a period apart have the same
         phase = (rows % self.period).to(torch.int64)
         total = torch.zeros(self.period, dtype=torch.float64).index_add(0, phase, filter(x, y).sum((0, 2)))[phase]
+        if not bool((total != 0).all()):
+            raise McaaError(f"none of the {strip.count / strip.period:g} samples a pixel meets {filter}: raise spp, or take a wider filter")
 
         def place(tensor: Tensor) -> Tensor:
             return tensor.to(device, dtype)
@@ -113,7 +116,7 @@ def norm(task: Task, strip: Strip) -> Tensor:
     return torch.cat(bands).to(task.device, task.dtype)
 
 
-def _slope(function, d: Tensor) -> Tensor:
+def _slope(function: Callable[[Tensor], Tensor], d: Tensor) -> Tensor:
     """The derivative of an elementwise function."""
     with torch.enable_grad():
         place = d.detach().clone().requires_grad_()

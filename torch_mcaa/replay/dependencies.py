@@ -29,11 +29,13 @@ class Dependencies:
 
     Attributes:
         tensors: all of them, each once.
-        smooth: whether f's values have a gradient to any of them, as far as autograd knows.
+        smooth: whether f's values have a gradient, as far as autograd knows.
+        own: how many leaves of their graph f makes itself, as for a slope inside it.
     """
 
     tensors: tuple[Tensor, ...]
     smooth: bool
+    own: int
 
 
 def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
@@ -52,8 +54,8 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
             runs.append(_Noting())
             graphs.append(replace(integrand, function=runs[-1].during(integrand.function))(x, y))
     outside = {key: tensor for key, tensor in runs[0].noted.items() if key in runs[1].noted}
-    (first, _), (second, leaves) = (_walk(values, outside.values()) for values in graphs)
-    hidden = {node for node in first & second if not _is_leaf(node)}
+    (nodes, leaves), (others, others_leaves) = (_walk(values, outside.values()) for values in graphs)
+    hidden = {node for node in nodes & others if not _is_leaf(node)}
     if hidden:
         raise McaaError(
             f"f uses a tensor that was computed outside it ({', '.join(sorted(node.name() for node in hidden))}) in a custom operation or "
@@ -67,17 +69,19 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
             McaaWarning,
             stacklevel=4,
         )
-    return Dependencies(tuple({**outside, **leaves}.values()), any(value.requires_grad for value in graphs[1]))
+    common = {key: leaf for key, leaf in leaves.items() if key in others_leaves}
+    smooth = any(value.requires_grad for value in graphs[1])
+    return Dependencies(tuple({**outside, **common}.values()), smooth, len(others_leaves) - len(common))
 
 
-def check_reached(values: Sequence[Tensor], known: Sequence[Tensor]) -> None:
+def check_reached(values: Sequence[Tensor], known: Dependencies) -> None:
     """Refuse values whose gradient would reach a tensor that is not known: it would be lost.
 
     Raises:
         McaaError: f uses a tensor here that it had not used before.
     """
-    _, leaves = _walk(values, known)
-    if leaves:
+    _, leaves = _walk(values, known.tensors)
+    if len(leaves) > known.own:
         shapes = ", ".join(str(tuple(leaf.shape)) for leaf in leaves.values())
         raise McaaError(
             f"f uses tensors that require a gradient (of shape {shapes}) at some points and had not used them at the first ones it was "

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
 from torch_mcaa.replay.adjoint import Adjoint, norm, reach_of
+from torch_mcaa.replay.dependencies import Dependencies
 from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples, strip_of
 from torch_mcaa.replay.terms import Block, OfFilter, OfInputs, OfPlaces, Parts
@@ -26,19 +27,19 @@ class Replay:
     Attributes:
         task: f, without the parameters in `moved`, on the screen; its seed is that of the backward's points.
         spp: evaluations a pixel.
-        inputs: the tensors that f depends on.
+        inputs: what f depends on.
         moved: the parameters of where f is asked.
     """
 
     task: Task
     spp: int
-    inputs: tuple[Tensor, ...]
+    inputs: Dependencies
     moved: Moved
 
     @property
     def parameters(self) -> tuple[Tensor, ...]:
         """All that gradients are given for, in their order."""
-        return (*self.inputs, *self.task.filter.learned, *self.moved.parameters)
+        return (*self.inputs.tensors, *self.task.filter.learned, *self.moved.parameters)
 
     def gradients(self, grad: Tensor, value: Tensor) -> list[Tensor | None]:
         """The derivatives with respect to `parameters`; None where there is none.
@@ -56,7 +57,7 @@ class Replay:
         if renormalized:
             grad = grad / norm(task, strip)
         terms: list[Callable[[Block], Parts]] = []
-        if self.inputs:
+        if self.inputs.tensors:
             terms.append(OfInputs(self.inputs, samples, Adjoint(filter, strip, task.dtype, task.device), grad))
         if filter.learned:
             terms.append(OfFilter(filter, samples, strip, grad, value, renormalized))

@@ -57,7 +57,7 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
     if decorrelate:
         high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
         task = replace(task, seed=high << 32 | low)
-    return Replay(task, spp, found.tensors, moved)
+    return Replay(task, spp, found, moved)
 
 
 def _held(task: Task, extent: Tensor | None) -> tuple[Function, Moved]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_mcaa.filters import Filter
 from torch_mcaa.patterns.lattice import Strip
 from torch_mcaa.replay.adjoint import Adjoint
-from torch_mcaa.replay.dependencies import check_reached
+from torch_mcaa.replay.dependencies import Dependencies, check_reached
 from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples
 
@@ -43,19 +43,19 @@ class Block:
 class OfInputs:
     """With respect to the tensors that f depends on: the adjoint of the splat is the coefficient of f's own derivative."""
 
-    def __init__(self, inputs: Sequence[Tensor], samples: Samples, adjoint: Adjoint, grad: Tensor) -> None:
+    def __init__(self, inputs: Dependencies, samples: Samples, adjoint: Adjoint, grad: Tensor) -> None:
         self.inputs, self.samples, self.adjoint, self.grad = inputs, samples, adjoint, samples.padded(grad)
 
     def __call__(self, block: Block) -> Parts:
         live = [channel for channel, value in enumerate(block.values) if value.requires_grad]
         if not live:
-            return [None] * len(self.inputs)
+            return [None] * len(self.inputs.tensors)
         values = [block.values[channel] for channel in live]
         check_reached(values, self.inputs)
         coefficient = self.adjoint(self.samples.band(self.grad, block.strips)[live], block.planes)
         if block.inside is not None:
             coefficient = coefficient * block.inside
-        return torch.autograd.grad(values, self.inputs, list(coefficient), allow_unused=True)
+        return torch.autograd.grad(values, self.inputs.tensors, list(coefficient), allow_unused=True)
 
 
 class OfFilter:
