@@ -1,0 +1,78 @@
+"""f at places of the screen, with what it decided there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.program import Program
+from torch_mcaa.edges.trace import Lanes, Signatures, Traced, changed_program
+from torch_mcaa.errors import McaaError
+from torch_mcaa.grid import Screen
+from torch_mcaa.integrand import Function, Integrand
+
+AT_ONCE = 12 * 256 * 8
+"""Points of one call."""
+Tally = Callable[[Tensor, Tensor], None]
+"""Told the columns and rows (N,) of every place that f is asked at."""
+V = TypeVar("V", bound=Callable[[int, Lanes], None])
+
+
+class Asked:
+    """f, traced, at float64 screen columns and rows.
+
+    It is asked in float64, so that places between float32 numbers are told apart; an f that takes `dtype` alone, such as a network, gets
+    that from the first time on that it refuses.
+    """
+
+    def __init__(
+        self, function: Function, screen: Screen, program: Program, dtype: torch.dtype, device: torch.device, tally: Tally | None
+    ) -> None:
+        self.screen, self.program, self.dtype, self.device, self.tally = screen, program, dtype, device, tally
+        self.function = function
+        self.precision = torch.float64
+        self.channels = 1
+
+    def signatures(self, col: Tensor, row: Tensor) -> Tensor:
+        """(N,) int64."""
+        if len(col) == 0:
+            return torch.zeros(0, dtype=torch.int64, device=self.device)
+        found = []
+        for c, r in zip(col.split(AT_ONCE), row.split(AT_ONCE), strict=True):
+            _, seen = self.run(c, r, Signatures)
+            found.append(seen.signatures(len(c)))
+        return torch.cat(found)
+
+    def run(self, col: Tensor, row: Tensor, visitor: Callable[[], V]) -> tuple[Tensor, V]:
+        """f's values (C, N) in float64 and what the visitor has seen, in one call of f.
+
+        Raises:
+            McaaError: f breaks its contract, or takes other decisions than `program` says.
+        """
+        if self.tally is not None:
+            self.tally(col.detach(), row.detach())
+        x, y = self.screen.x_of(col), self.screen.y_of(row)
+        try:
+            return self._once(x, y, visitor)
+        except McaaError as error:
+            # what f raised itself is chained
+            if self.precision == self.dtype or error.__cause__ is None:
+                raise
+            before, self.precision = self.precision, self.dtype
+            try:
+                return self._once(x, y, visitor)
+            except McaaError:
+                self.precision = before
+                raise error from error.__cause__
+
+    def _once(self, x: Tensor, y: Tensor, visitor: Callable[[], V]) -> tuple[Tensor, V]:
+        seen = visitor()
+        traced = Traced(self.function, self.program.sites, seen)
+        values = Integrand(traced, torch.float64)(x.to(self.device, self.precision), y.to(self.device, self.precision))
+        if traced.changed is not None:
+            raise changed_program(traced.changed)
+        self.channels = len(values)
+        return torch.stack(values), seen

@@ -1,0 +1,197 @@
+"""The boundary term: what automatic differentiation of samples leaves out where f jumps.
+
+    d/dθ ∫ f w dr = ∫ (d/dθ f) w dr + ∮ Δf w (d/dθ g) / |∇g| dl
+
+over the edges g = 0, across which f changes by Δf from g < 0 to g > 0 (Reynolds' transport theorem; T.-M. Li et al. 2018, "Differentiable
+Monte Carlo Ray Tracing through Edge Sampling"). Lines along both axes meet the edges; an element dl is met with density
+n (|n_x| + |n_y|) dl by n lines a pixel along either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.asked import AT_ONCE, Asked, Tally
+from torch_mcaa.edges.once import zero_with_gradient
+from torch_mcaa.edges.program import Program, probe
+from torch_mcaa.edges.refine import Changes, refine
+from torch_mcaa.edges.scan import scan, share
+from torch_mcaa.edges.trace import Margins
+from torch_mcaa.filters.base import Filter
+from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.integrand import Function
+
+LINES = 4
+"""Lines a pixel along either axis, by default."""
+_FLAT = 1e-12
+"""A change that is none, in magnitudes of f there."""
+
+
+@dataclass(frozen=True)
+class Elements:
+    """Edge elements that the lines met, N of them, without a graph.
+
+    Attributes:
+        col, row: (N,) float64 screen pixels.
+        jump: (C, N) float64, f where the margin is positive less f where it is negative, everything that follows the decision included.
+        weight: (N,) float64, ω / (n (|g_x| + |g_y|)), derivatives per screen pixel.
+        cause: (N,) int64, the number of the decision whose margin crosses zero; branch: (N, 3) its lane and the codes on either side.
+        at: (2, N) float64 column and row, in the same bracket, where the margin is to be differentiated.
+        program: f's decisions; precision: the dtype in which f was asked.
+        flat: (N',) the numbers of decisions whose margins had no slope, so that their elements were left out.
+    """
+
+    col: Tensor
+    row: Tensor
+    jump: Tensor
+    weight: Tensor
+    cause: Tensor
+    branch: Tensor
+    at: Tensor
+    program: Program
+    precision: torch.dtype
+    flat: Tensor
+
+    def __len__(self) -> int:
+        return len(self.col)
+
+
+@torch.no_grad()
+def elements(
+    function: Function,
+    screen: Screen,
+    cell: Cell,
+    filter: Filter,
+    seed: int,
+    lines: int = LINES,
+    *,
+    closed: bool = False,
+    program: Program | None = None,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | None = None,
+    tally: Tally | None = None,
+) -> Elements:
+    """The edge elements of one cell. Those of all cells of a screen are the same however it is cut into cells.
+
+    A cell at the border of the screen has the elements beyond it too, as far as the filter reaches, unless the screen is `closed`.
+    """
+    device = torch.device("cpu") if device is None else device
+    program = program or probe(function, screen, dtype, device)
+    asked = Asked(function, screen, program, dtype, device, tally)
+    found = []
+    for axis in (0, 1):
+        spans = [
+            _span(first, size, whole, reach, closed)
+            for first, size, whole, reach in zip(
+                (cell.col, cell.row), (cell.width, cell.height), (screen.width, screen.height), filter.radius, strict=True
+            )
+        ]
+        along, across = spans[axis], spans[1 - axis]
+        whole = (screen.width, screen.height)
+        limits = (0.0, whole[axis] * (1 - 2.0**-50)) if closed else (-torch.inf, torch.inf)
+        if closed:
+            across = (max(across[0], 0), min(across[1], whole[1 - axis]))
+        segments, last = scan(asked, axis, along, across, lines, seed, limits)
+        found.append(_weighed(refine(asked, segments), lines, last))
+    col, row, jump, weight, cause, branch, at, flat = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
+    return Elements(col, row, jump, weight, cause, branch.T, at, program, asked.precision, flat)
+
+
+def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
+    """The pixels along one axis in which segments of a cell begin."""
+    beyond = 1 if closed else int(reach + 0.5) + 1
+    return first - beyond * (first == 0), first + size + beyond * (first + size == whole) * (not closed)
+
+
+def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
+    """What `Elements` holds of the changes along one axis."""
+    brackets = changes.brackets
+    order = torch.argsort(brackets.low)
+    changes = changes.take(order[torch.argsort(brackets.line[order], stable=True)])
+    brackets, (before, after) = changes.brackets, changes.margin
+    ratio = (before / (before - after)).nan_to_num(0.5).clamp(0, 1)
+    place = brackets.low + ratio * (brackets.high - brackets.low)
+    probability = share(brackets.line, place, brackets.before, brackets.after)
+    # margins that leave a plateau slope on one side alone; and a slope of 0 at the edge is none beside it
+    high = changes.slope.abs().sum(0).argmax(0)
+    slope = changes.slope.gather(1, high.expand(2, 1, -1))[:, 0].abs()
+    # what the other axis meets better counts less here: of |g_x|^3 and |g_y|^3 each has its share
+    size = slope.pow(3).sum(0) / slope[brackets.axis].square()
+    jump = (changes.values[:, 1] - changes.values[:, 0]) * torch.sign(after - before)
+    own = (brackets.segment > 0) & (brackets.segment < last - 1)
+    changed = own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
+    flat = changes.cause[changed & ~(slope.sum(0) > 0)]
+    some = (changed & (size > 0) & size.isfinite()).nonzero()[:, 0]
+    col, row = brackets.places(place)
+    at = torch.stack(brackets.places(torch.where(high > 0, brackets.high, brackets.low)))
+    weight = 1 / (probability * lines * size)
+    return col[some], row[some], jump[:, some], weight[some], changes.cause[some], changes.branch[some].T, at[:, some], flat
+
+
+def margins(function: Function, screen: Screen, elements: Elements) -> Tensor:
+    """(N,) float64: the margins at the elements, with a graph to everything that they depend on."""
+    asked = Asked(function, screen, elements.program, elements.precision, elements.col.device, None)
+    asked.precision = elements.precision
+    found = []
+    for start in range(0, len(elements), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        cause, branch = elements.cause[part], elements.branch[part]
+        with torch.enable_grad():
+            _, seen = asked.run(elements.at[0, part], elements.at[1, part], _margins(cause, branch))
+        found.append(seen.total)
+    return torch.cat(found) if found else elements.col.new_zeros(0)
+
+
+def _margins(cause: Tensor, branch: Tensor) -> Callable[[], Margins]:
+    return lambda: Margins(cause, branch)
+
+
+def surrogate(function: Function, screen: Screen, elements: Elements, coefficient: Tensor) -> Tensor:
+    """The sum over the elements of coefficient (N,) times margin, a scalar whose backward is the boundary term's."""
+    with torch.enable_grad():
+        return (coefficient.to(torch.float64) * margins(function, screen, elements)).sum()
+
+
+def boundary_term(
+    function: Function,
+    screen: Screen,
+    filter: Filter,
+    seed: int,
+    lines: int = LINES,
+    *,
+    closed: bool = False,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | None = None,
+    tally: Tally | None = None,
+) -> Tensor:
+    """(C, H, W) float64: exactly 0, with the gradient that is to be added to that of the samples.
+
+    Second derivatives through it raise McaaError.
+    """
+    cell = Cell(0, 0, screen.height, screen.width)
+    met = elements(function, screen, cell, filter, seed, lines, closed=closed, dtype=dtype, device=device, tally=tally)
+    picture = torch.zeros(len(met.jump), screen.height * screen.width, dtype=torch.float64, device=met.col.device)
+    if len(met) == 0:
+        return picture.view(-1, screen.height, screen.width)
+    with torch.enable_grad():
+        zero = zero_with_gradient(margins(function, screen, met)) * met.weight
+        rows, cols, weights = splat(met, screen, filter)
+        flat = rows * screen.width + cols
+        amount = met.jump[:, :, None] * (zero[:, None] * weights)
+        picture = picture.index_add(1, flat.flatten(), amount.flatten(1))
+    return picture.view(-1, screen.height, screen.width)
+
+
+def splat(elements: Elements, screen: Screen, filter: Filter) -> tuple[Tensor, Tensor, Tensor]:
+    """(N, P) rows and columns of the pixels around each element, and w there, 0 beyond the screen."""
+    reach = [int(r + 0.5) + 1 for r in filter.radius]
+    over, down = (torch.arange(-r, r + 1, device=elements.col.device) for r in reach)
+    cols = (elements.col.floor().long()[:, None, None] + over).expand(-1, len(down), -1).flatten(1)
+    rows = (elements.row.floor().long()[:, None, None] + down[:, None]).expand(-1, -1, len(over)).flatten(1)
+    inside = (cols >= 0) & (cols < screen.width) & (rows >= 0) & (rows < screen.height)
+    weight = filter(elements.col[:, None] - cols - 0.5, elements.row[:, None] - rows - 0.5)
+    return rows.clamp(0, screen.height - 1), cols.clamp(0, screen.width - 1), weight * inside

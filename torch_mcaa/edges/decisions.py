@@ -1,0 +1,282 @@
+"""The operations of PyTorch that decide: what each decided for every point, and the margin that crosses zero where it decides otherwise.
+
+Only the position of a margin's zero and its slope's direction count: any increasing function of a margin serves as well. Operations that
+switch without a jump (`maximum`, `clamp`, `relu`, `abs`) are none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Level:
+    """An operation that changes where a margin crosses zero.
+
+    codes: what it decided, integers or bool of any shape; margin: a function that gives the margin, of a shape that expands to theirs.
+    """
+
+    codes: Tensor
+    margin: Callable[[], Tensor]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An operation that chooses among the `values` along `dim`; where it goes from i to j, values[j] - values[i] crosses zero.
+
+    codes: the indices chosen, of `values`' shape but for `dim`, which may be missing.
+    """
+
+    codes: Tensor
+    values: Tensor
+    dim: int
+
+
+Decision = Level | Choice
+Arguments = dict[str, Any]
+Rule = Callable[[Sequence[Any], Arguments, Any], Decision | None]
+
+
+def name_of(function: Any) -> str:
+    """The name that rules go by: `lt` for torch.lt, Tensor.lt, Tensor.lt_, Tensor.__lt__, torch.ops.aten.lt.Scalar."""
+    name = getattr(function, "__name__", "").split(".")[0].removeprefix("special_")
+    if name.startswith("__") and name.endswith("__"):
+        return name[2:-2].removeprefix("i") if name[2:-2] in _IN_PLACE else name[2:-2]
+    return name.strip("_")
+
+
+ESCAPES = ("item", "tolist", "numpy", "__array__", "__bool__", "__float__", "__int__", "__index__", "__complex__", "__dlpack__")
+"""Functions through which values leave PyTorch, where neither the trace nor a gradient follows."""
+
+
+def in_place(function: Any) -> bool:
+    """Whether the function changes its first argument."""
+    name = getattr(function, "__name__", "").split(".")[0]
+    return name in ("__setitem__", *(f"__{n}__" for n in _IN_PLACE)) or (name.endswith("_") and not name.endswith("__"))
+
+
+_IN_PLACE = ("iadd", "isub", "imul", "idiv", "itruediv", "ifloordiv", "imod", "ipow", "iand", "ior", "ixor", "ilshift", "irshift")
+
+
+def rule_of(function: Any) -> Rule | None:
+    """The rule for a function that `__torch_function__` is given, None if it decides nothing."""
+    return None if getattr(function, "__name__", "") in ESCAPES else _RULES.get(name_of(function))
+
+
+def _floating(value: Any) -> bool:
+    return isinstance(value, Tensor) and value.is_floating_point()
+
+
+def _argument(args: Sequence[Any], kwargs: Arguments, place: int, *names: str, default: Any = None) -> Any:
+    for name in names:
+        if name in kwargs:
+            return kwargs[name]
+    return args[place] if place < len(args) else default
+
+
+def _compare(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    a, b = args[0], _argument(args, kwargs, 1, "other")
+    if not (_floating(a) or _floating(b)) or not isinstance(result, Tensor):
+        return None
+    return Level(result, lambda: a - b)
+
+
+def _close(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    a, b = args[0], _argument(args, kwargs, 1, "other")
+    rtol, atol = _argument(args, kwargs, 2, "rtol", default=1e-5), _argument(args, kwargs, 3, "atol", default=1e-8)
+    return Level(result, lambda: (a - b).abs() - (atol + rtol * b.abs())) if _floating(a) else None
+
+
+def _fraction(q: Tensor) -> Tensor:
+    """q less the nearest integer."""
+    return q - q.detach().round()
+
+
+def _whole(rounded: Callable[[Tensor], Tensor], shift: float = 0.0) -> Rule:
+    """Steps of one argument at the integers, or `shift` beside them."""
+
+    def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+        a = args[0]
+        if not _floating(a):
+            return None
+        scale = 10.0 ** _argument(args, kwargs, 1, "decimals", default=0) if shift else 1.0
+        return Level(rounded(a.detach() * scale).to(torch.int64), lambda: _fraction(a * scale + shift))
+
+    return rule
+
+
+def _quotient(rounded: Callable[[Tensor], Tensor] | None, swapped: bool = False) -> Rule:
+    """a - b floor(a / b) and the like step where the quotient is an integer; with None it is a rounding mode, or a pole's, that says so."""
+
+    def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+        a, b = args[0], _argument(args, kwargs, 1, "other")
+        a, b = (b, a) if swapped else (a, b)
+        if not (_floating(a) or _floating(b)):
+            return None
+        how = rounded
+        if how is None:
+            mode = _argument(args, kwargs, 2, "rounding_mode")
+            if mode is None:
+                return _pole(b)
+            how = torch.floor if mode == "floor" else torch.trunc
+        q = a / b
+        return Level(how(q.detach()).to(torch.int64), lambda: _fraction(a / b))
+
+    return rule
+
+
+def _pole(b: Any) -> Decision | None:
+    """1 / b jumps from one infinity to the other where b crosses zero, and atan(a / b) with it."""
+    return Level(b < 0, lambda: b) if _floating(b) else None
+
+
+def _sign(place: int = 0) -> Rule:
+    def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+        a = _argument(args, kwargs, place, "other")
+        if not _floating(a):
+            return None
+        return Level(torch.sign(a.detach()).to(torch.int64), lambda: a)
+
+    return rule
+
+
+def _nonzero(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    """A float taken as a bool: it changes where the float leaves a plateau of zeros."""
+    floats = [a for a in args[:2] if _floating(a)]
+    if len(floats) != 1:
+        return None
+    a = floats[0]
+    return Level(a != 0, lambda: a)
+
+
+def _cast(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    a = args[0]
+    if not _floating(a) or not isinstance(result, Tensor) or result.is_floating_point() or result.is_complex():
+        return None
+    if result.dtype == torch.bool:
+        return Level(result, lambda: a)
+    return Level(result, lambda: _fraction(a))
+
+
+def _indices(number: int, default: Any) -> Rule:
+    """Functions of (values, dim) that return indices, or (values, indices); `number`: the place of `dim` among the arguments."""
+
+    def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+        values, dim = args[0], _argument(args, kwargs, number, "dim", "axis", default=default)
+        if not _floating(values) or not isinstance(dim, int) or isinstance(dim, bool):
+            return None
+        codes = result if isinstance(result, Tensor) else result[1]
+        if codes.is_floating_point():
+            return None
+        dim %= values.ndim
+        return Choice(codes if codes.ndim == values.ndim else codes.unsqueeze(dim), values, dim)
+
+    return rule
+
+
+def _cut(y: Tensor, x: Tensor) -> Level:
+    """The branch cut of the angle of (x, y): y = 0 where x < 0. At x = 0 only the code changes."""
+    code = (x < 0).to(torch.int64) * (1 + (y < 0).to(torch.int64))
+    return Level(code, lambda: torch.where(x.detach().abs() < y.detach().abs(), x, y))
+
+
+def _atan2(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    y, x = args[0], _argument(args, kwargs, 1, "other")
+    return _cut(y, x) if _floating(y) and _floating(x) else None
+
+
+def _complex(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    z = args[0]
+    return _cut(z.imag, z.real) if isinstance(z, Tensor) and z.is_complex() else None
+
+
+def _angle(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    return _sign()(args, kwargs, result) if _floating(args[0]) else _complex(args, kwargs, result)
+
+
+def _tan(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    a = args[0]
+    return (
+        Level((a.detach() / math.pi + 0.5).floor().to(torch.int64), lambda: _fraction(a / math.pi + 0.5)) if _floating(a) else None
+    )
+
+
+def _search(boundaries: Tensor, values: Any, result: Any) -> Decision | None:
+    if not _floating(values) or boundaries.ndim != 1:
+        return None
+
+    def margin() -> Tensor:
+        # the nearest boundary is one of the two beside the value
+        place = result.clamp(1, len(boundaries) - 1) if len(boundaries) > 1 else torch.ones_like(result)
+        below, above = values - boundaries[place - 1], values - boundaries[place.clamp(max=len(boundaries) - 1)]
+        return torch.where(below.detach().abs() < above.detach().abs(), below, above)
+
+    return Level(result, margin)
+
+
+def _searchsorted(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    return _search(_argument(args, kwargs, 0, "sorted_sequence"), _argument(args, kwargs, 1, "input", "self"), result)
+
+
+def _bucketize(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    return _search(_argument(args, kwargs, 1, "boundaries"), _argument(args, kwargs, 0, "input"), result)
+
+
+def _hardshrink(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    a, lambd = args[0], _argument(args, kwargs, 1, "lambd", default=0.5)
+    return Level(a.abs() > lambd, lambda: a.abs() - lambd)
+
+
+def _threshold(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    a, threshold = args[0], _argument(args, kwargs, 1, "threshold")
+    return Level(a > threshold, lambda: a - threshold) if _floating(a) else None
+
+
+def _grid_sample(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    image, grid = args[0], _argument(args, kwargs, 1, "grid")
+    if _argument(args, kwargs, 2, "mode", default="bilinear") != "nearest" or image.ndim != 4:
+        return None
+    size = torch.tensor([image.shape[3], image.shape[2]], dtype=grid.dtype, device=grid.device)
+    aligned = _argument(args, kwargs, 4, "align_corners", default=False)
+    texel = (grid + 1) / 2 * (size - 1) if aligned else ((grid + 1) * size - 1) / 2
+    return Level(texel.detach().round().to(torch.int64), lambda: _fraction(texel + 0.5))
+
+
+_RULES: dict[str, Rule] = {
+    **dict.fromkeys(
+        ["lt", "le", "gt", "ge", "eq", "ne", "less", "less_equal", "greater", "greater_equal", "not_equal"],
+        _compare,
+    ),
+    "isclose": _close,
+    "floor": _whole(torch.floor),
+    "ceil": _whole(torch.ceil),
+    "round": _whole(torch.round, 0.5),
+    **dict.fromkeys(("trunc", "fix", "frac"), _whole(torch.trunc)),
+    **dict.fromkeys(("remainder", "mod", "floordiv", "floor_divide"), _quotient(torch.floor)),
+    **dict.fromkeys(("rmod", "rfloordiv"), _quotient(torch.floor, swapped=True)),
+    "fmod": _quotient(torch.trunc),
+    **dict.fromkeys(("div", "divide", "true_divide", "truediv"), _quotient(None)),
+    **dict.fromkeys(("rdiv", "rtruediv", "reciprocal"), lambda args, kwargs, result: _pole(args[0])),
+    **dict.fromkeys(("sign", "sgn", "signbit", "heaviside"), _sign()),
+    "copysign": _sign(1),
+    **dict.fromkeys(("bool", "logical_not", "logical_and", "logical_or", "logical_xor"), _nonzero),
+    **dict.fromkeys(("to", "int", "long", "short", "char", "byte", "type", "type_as"), _cast),
+    **dict.fromkeys(("argmin", "argmax", "min", "max", "cummin", "cummax"), _indices(1, None)),
+    **dict.fromkeys(("sort", "argsort", "median", "nanmedian", "mode"), _indices(1, -1)),
+    **dict.fromkeys(("topk", "kthvalue"), _indices(2, -1)),
+    **dict.fromkeys(("atan2", "arctan2"), _atan2),
+    **dict.fromkeys(("log", "log2", "log10", "sqrt", "pow"), _complex),
+    "angle": _angle,
+    "tan": _tan,
+    "searchsorted": _searchsorted,
+    "bucketize": _bucketize,
+    "hardshrink": _hardshrink,
+    "threshold": _threshold,
+    "grid_sample": _grid_sample,
+}

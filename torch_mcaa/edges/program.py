@@ -1,0 +1,206 @@
+"""What f does, found by running it on two handfuls of points: its decisions in order, and what no trace of it will see."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, name_of
+from torch_mcaa.edges.trace import Site, Watch, changed_program
+from torch_mcaa.errors import McaaError
+from torch_mcaa.grid import Screen
+
+_PROBE = 0x960BE
+_COUNTS = 13, 17
+"""Two numbers of points: the axis that grows with them is the points'."""
+_POINT, _PARAMETER = 1, 2
+_POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
+_HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
+"""Our code, and PyTorch's."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """The decisions of f in order, and sentences about what the trace cannot follow, each with a line of the user's code."""
+
+    sites: tuple[Site, ...]
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Met:
+    name: str
+    where: str
+    shape: tuple[int, ...]
+    dim: int | None
+    depends: int
+    wrapped: bool
+
+
+def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> Program:
+    """Run f on 13 and on 17 random points of the screen, in `dtype`.
+
+    Raises:
+        McaaError: f raised (chained), or its decisions are not the same in both runs.
+    """
+    runs = [_Probe(count) for count in _COUNTS]
+    for run in runs:
+        run.call(function, screen, dtype, device)
+    first, second = runs
+    if [(m.name, len(m.shape)) for m in first.met] != [(m.name, len(m.shape)) for m in second.met]:
+        raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
+    problems = [*first.problems]
+    # a tensor whose size follows the number of points, made by nothing that PyTorch could show
+    problems += [text for place, text in first.strangers.items() if place in second.strangers]
+    sites = []
+    for one, two in zip(first.met, second.met, strict=True):
+        axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == _COUNTS]
+        axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
+        sites.append(Site(one.name, one.where, axis))
+        if one.wrapped:
+            problems.append(f"{one.where}: {one.name} inside vmap or another function transform")
+        elif axis is None and one.depends & _POINT:
+            problems.append(
+                f"{one.where}: {one.name} mixes points, or takes some of them only, so that it has no margin at a point"
+            )
+        elif axis is None and one.depends & _PARAMETER and one.name not in _POLES:
+            problems.append(f"{one.where}: {one.name} decides on parameters alone, and jumps for all points at once")
+    return Program(tuple(sites), tuple(dict.fromkeys(problems)))
+
+
+class _Probe(Watch):
+    """Follows which tensors depend on the points and on parameters, and which came from nowhere."""
+
+    def __init__(self, points: int) -> None:
+        super().__init__(self._decided)
+        self.points = points
+        self.met: list[_Met] = []
+        self.problems: list[str] = []
+        self.strangers: dict[tuple[int, int], str] = {}
+        self._depends: dict[int, int] = {}
+        self._alive: list[Tensor] = []
+        self._calls = 0
+        self._now = 0
+        self._leaves: tuple[Tensor, ...] = ()
+
+    def call(self, function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> None:
+        index = torch.arange(self.points)
+        col, row = (
+            size * rng.uniform(0, _PROBE, axis, index, dtype=torch.float64)
+            for axis, size in enumerate((screen.width, screen.height))
+        )
+        with torch.enable_grad():
+            self._leaves = tuple(t.to(device, dtype).requires_grad_() for t in (screen.x_of(col), screen.y_of(row)))
+            x, y = (leaf.clone() for leaf in self._leaves)
+            for tensor in (x, y):
+                self._note(tensor, _POINT)
+            try:
+                with self:
+                    returned = function(x, y)
+            except Exception as error:
+                raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {self.points} points") from error
+            for tensor in _tensors(returned):
+                self._origin(tensor, "what f returns")
+
+    def __torch_function__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: dict[str, Any] | None = None) -> Any:
+        kwargs = kwargs or {}
+        self._calls += 1
+        given = list(_tensors((args, kwargs)))
+        depends = 0
+        for tensor in given:
+            depends |= self._origin(tensor, name_of(func))
+        name = getattr(func, "__name__", "")
+        if in_place(func) and name != "requires_grad_" and given and id(given[0]) not in self._depends:
+            self.problems.append(
+                f"{_where()}: {name} changes a tensor in place that f did not make, so that every call finds another one"
+            )
+        if name in ESCAPES:
+            self._escaped(name, depends)
+        self._now = depends
+        result = super().__torch_function__(func, types, args, kwargs)
+        changed = given[:1] if in_place(func) else []
+        for tensor in (*_tensors(result), *changed):
+            self._note(tensor, depends)
+        return result
+
+    def _escaped(self, name: str, depends: int) -> None:
+        if depends & _POINT:
+            what = (
+                "lets Python's control flow depend on the points"
+                if name == "__bool__"
+                else "takes values of the points out of PyTorch"
+            )
+            self.problems.append(f"{_where()}: {name} {what}")
+        elif depends & _PARAMETER:
+            self.problems.append(f"{_where()}: {name} takes a parameter's value out of PyTorch, and its gradient is lost")
+
+    def _decided(self, number: int, decision: Decision, func: Any) -> None:
+        codes = decision.codes
+        dim = decision.dim if isinstance(decision, Choice) else None
+        wrapped = torch._C._functorch.is_functorch_wrapped_tensor(codes)
+        self.met.append(_Met(func.__name__, _where(), tuple(codes.shape), dim, self._now, wrapped))
+
+    def _note(self, tensor: Tensor, depends: int) -> None:
+        self._depends[id(tensor)] = self._depends.get(id(tensor), 0) | depends
+        # an id is one tensor's only while that lives
+        self._alive.append(tensor)
+
+    def _origin(self, tensor: Tensor, user: str) -> int:
+        """What a tensor depends on; one that f did not make is a parameter, a constant, or made where nothing is seen."""
+        known = self._depends.get(id(tensor))
+        if known is not None:
+            return known
+        depends = _PARAMETER if tensor.requires_grad else 0
+        if tensor.grad_fn is not None and _reaches(tensor, self._leaves):
+            depends |= _POINT
+            self.problems.append(
+                f"{_where()}: {user} takes a tensor from code that the trace cannot see (scripted, compiled, or a kernel)"
+            )
+        elif not tensor.requires_grad and self.points in tensor.shape:
+            place = (self._calls, tensor.ndim)
+            self.strangers[place] = f"{_where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
+        self._alive.append(tensor)
+        self._depends[id(tensor)] = depends
+        return depends
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            yield from _tensors(part)
+    elif isinstance(value, dict):
+        yield from _tensors(list(value.values()))
+
+
+def _reaches(tensor: Tensor, leaves: Sequence[Tensor]) -> bool:
+    """Whether the graph behind a tensor holds one of the leaves."""
+    seen, stack = set(), [tensor.grad_fn]
+    while stack:
+        node = stack.pop()
+        if node is None or node in seen:
+            continue
+        seen.add(node)
+        if any(getattr(node, "variable", None) is leaf for leaf in leaves):
+            return True
+        stack.extend(parent for parent, _ in node.next_functions)
+    return False
+
+
+def _where() -> str:
+    """file:line of the innermost frame of code that is neither PyTorch's nor ours."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if not name.startswith(_HOMES) and not name.startswith("<"):
+            return f"{name}:{frame.f_lineno}"
+        frame = frame.f_back
+    return "(no line of Python)"

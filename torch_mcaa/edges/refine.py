@@ -1,0 +1,168 @@
+"""From segments in which f decides differently to where it does, by the margins where they lead there, by halving where not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.asked import AT_ONCE, Asked
+from torch_mcaa.edges.scan import Brackets, joined
+from torch_mcaa.edges.trace import Causes, Margins
+
+_NARROW = 2.0**-10
+"""Px: the width of the last brackets."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """The changes in narrow brackets, N of them.
+
+    Attributes:
+        signatures: (2, N) at the low and at the high end; values: (C, 2, N) float64, f there.
+        cause, branch: (N,) and (N, 3), as in `Causes`, with margin: (2, N) at the ends.
+        slope: (2, 2, N) the margins' derivatives by column and row (first index) at the ends.
+    """
+
+    brackets: Brackets
+    signatures: Tensor
+    values: Tensor
+    cause: Tensor
+    branch: Tensor
+    margin: Tensor
+    slope: Tensor
+
+    def __len__(self) -> int:
+        return len(self.cause)
+
+    def take(self, index: Tensor) -> Changes:
+        """Those at `index`, integers or bool."""
+        return Changes(
+            self.brackets.take(index),
+            self.signatures[:, index],
+            self.values[..., index],
+            self.cause[index],
+            self.branch[index],
+            self.margin[:, index],
+            self.slope[..., index],
+        )
+
+
+def refine(asked: Asked, segments: Brackets) -> Changes:
+    """All changes in segments between whose ends the signatures differ.
+
+    The margin of the first decision that differs is known at both ends. With that at one place more, found by a straight line, its root is
+    foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are halved, and
+    both halves kept where they differ: margins that lead astray cost evaluations, no accuracy.
+    """
+    ends = _examined(asked, segments, False)
+    first = _straight(segments, ends.margin)
+    signature, margin = _at(asked, segments, first, ends)
+    left, right = signature != segments.before, signature != segments.after
+    several = segments.take(left & right)
+    rest = [several.split(first[None, left & right], signature[None, left & right])]
+    single = left ^ right
+    low, high = torch.where(left, segments.low, first), torch.where(left, first, segments.high)
+    root = _parabola(segments, first, ends.margin, margin)[single]
+    one = segments.take(single)
+    one = replace(
+        one,
+        low=low[single],
+        high=high[single],
+        before=torch.where(left[single], one.before, signature[single]),
+        after=torch.where(left[single], signature[single], one.after),
+    )
+    root = torch.where((root >= one.low) & (root <= one.high), root, (one.low + one.high) / 2)
+    near = replace(one, low=torch.maximum(one.low, root - _NARROW / 2), high=torch.minimum(one.high, root + _NARROW / 2))
+    tried = _examined(asked, near, True)
+    hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
+    missed = near.take(~hit)
+    rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
+    halved = _examined(asked, _halved(asked, joined(rest)), True)
+    return _joined([tried.take(hit), halved])
+
+
+def _halved(asked: Asked, brackets: Brackets) -> Brackets:
+    """All changes in them, in brackets no wider than `_NARROW`."""
+    done = []
+    while len(brackets):
+        narrow = brackets.high - brackets.low <= _NARROW
+        done.append(brackets.take(narrow))
+        brackets = brackets.take(~narrow)
+        middle = (brackets.low + brackets.high) / 2
+        brackets = brackets.split(middle[None], asked.signatures(*brackets.places(middle))[None])
+    return joined([*done, brackets])
+
+
+def _straight(segments: Brackets, margin: Tensor) -> Tensor:
+    """The root of the line through the margins at the ends, kept away from them; the middle where they have one sign."""
+    share = margin[0] / (margin[0] - margin[1])
+    share = torch.where((share > 0) & (share < 1), share.clamp(0.02, 0.98), 0.5)
+    return segments.low + share * (segments.high - segments.low)
+
+
+def _parabola(segments: Brackets, first: Tensor, margin: Tensor, there: Tensor) -> Tensor:
+    """The place as a parabola in the margin, through its three values, where that is 0 (inverse quadratic interpolation)."""
+    a, b, c = margin[0], there, margin[1]
+    low = segments.low * (b * c / ((a - b) * (a - c)))
+    return low + first * (a * c / ((b - a) * (b - c))) + segments.high * (a * b / ((c - a) * (c - b)))
+
+
+def _at(asked: Asked, segments: Brackets, place: Tensor, ends: Changes) -> tuple[Tensor, Tensor]:
+    """(N,) signatures, and margins of the segments' causes, at a place in each."""
+    found = []
+    col, row = segments.places(place)
+    for start in range(0, len(place), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        cause, branch = ends.cause[part], ends.branch[part]
+        _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b))
+        found.append((seen.signatures(len(cause)), seen.total.detach()))
+    if not found:
+        return segments.before, place
+    signature, margin = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return signature, margin
+
+
+def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
+    """f again at the ends of brackets, with what changes between them and, if `sloped`, its margin's derivatives."""
+    parts = []
+    for start in range(0, max(1, len(brackets)), AT_ONCE // 2):
+        part = brackets.take(torch.arange(start, min(start + AT_ONCE // 2, len(brackets)), device=asked.device))
+        count = len(part)
+        if count == 0:
+            none = part.low.new_zeros
+            whole = part.line.new_zeros
+            return Changes(part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0))
+        with torch.set_grad_enabled(sloped):
+            col, row = (t.flatten().requires_grad_(sloped) for t in part.places(torch.stack([part.low, part.high])))
+            values, seen = asked.run(col, row, lambda c=count: Causes(c, asked.device))
+            slope = _slopes(seen.total, col, row) if sloped else torch.zeros(2, 2 * count, device=asked.device)
+        parts.append(
+            Changes(
+                part,
+                seen.signatures(2 * count).view(2, count),
+                values.detach().unflatten(1, (2, count)),
+                seen.cause,
+                seen.branch,
+                seen.margin.view(2, count),
+                slope.unflatten(1, (2, count)),
+            )
+        )
+    return _joined(parts)
+
+
+def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
+    """(2, N): the derivatives of the margins along columns and rows, 0 where there is none."""
+    if total is None or not total.requires_grad:
+        return torch.zeros(2, len(col), dtype=col.dtype, device=col.device)
+    slopes = torch.autograd.grad(total, (col, row), allow_unused=True)
+    return torch.stack([torch.zeros_like(col) if slope is None else slope for slope in slopes]).nan_to_num(0.0, 0.0, 0.0)
+
+
+def _joined(parts: list[Changes]) -> Changes:
+    signatures, values, cause, margin, slope = (
+        torch.cat([getattr(p, name) for p in parts], -1) for name in ("signatures", "values", "cause", "margin", "slope")
+    )
+    branch = torch.cat([p.branch for p in parts])
+    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope)

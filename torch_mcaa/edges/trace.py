@@ -1,0 +1,209 @@
+"""The discrete decisions of f, recorded while it runs: a signature of each point, and the margin of a decision when it is asked for.
+
+Two points between which f is continuous have equal signatures, unless a part of f is hidden from PyTorch. Where the signatures of two points
+close to each other differ, the first decision that differs, in the order in which f takes them, is the cause: all before it is
+continuous there, so that its margin is, and crosses zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+
+from torch_mcaa import rng
+from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, rule_of
+from torch_mcaa.errors import McaaError
+
+_LANE = 0x1A9E
+Visit = Callable[[int, Decision], None]
+
+
+@dataclass(frozen=True)
+class Site:
+    """A decision as the probe met it: `name` of the operation, `where` in the user's code, `axis` of its codes along which the points lie.
+
+    The axis is None for a decision that is the same at all points, or cannot be laid out by points.
+    """
+
+    name: str
+    where: str
+    axis: int | None
+
+
+class Watch(TorchFunctionMode):
+    """While it is active, `visit(number, decision)` is called for each decision, in f's order."""
+
+    def __init__(self, visit: Callable[[int, Decision, Any], None]) -> None:
+        super().__init__()
+        self._visit = visit
+        self.number = 0
+
+    def __torch_function__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: dict[str, Any] | None = None) -> Any:
+        kwargs = kwargs or {}
+        rule = rule_of(func)
+        if rule is None:
+            if getattr(func, "__name__", "") in ESCAPES and args and args[0].requires_grad:
+                # an array of a tensor with a gradient is refused, and f may never have been given one
+                args = [args[0].detach(), *args[1:]]
+            return func(*args, **kwargs)
+        given = args
+        if in_place(func) or "out" in kwargs:
+            # the margin is of what was there before
+            given = [a.clone() if isinstance(a, Tensor) else a for a in args]
+        result = func(*args, **kwargs)
+        decision = rule(given, kwargs, result)
+        if decision is not None:
+            self._visit(self.number, decision, func)
+            self.number += 1
+        return result
+
+
+class Traced:
+    """f, with its decisions shown to `visit` as (points, lanes): an integrand for points in one row.
+
+    Attributes:
+        changed: None, or what was met where another decision was expected.
+    """
+
+    def __init__(
+        self, function: Callable[[Tensor, Tensor], Any], sites: Sequence[Site], visit: Callable[[int, Lanes], None]
+    ) -> None:
+        self.function, self.sites, self.visit = function, sites, visit
+        self.points = 0
+        self.changed: str | None = None
+
+    def __call__(self, x: Tensor, y: Tensor) -> Any:
+        self.points = len(x)
+        with Watch(self._decided) as watch:
+            result = self.function(x, y)
+        if watch.number != len(self.sites) and self.changed is None:
+            last = self.sites[watch.number].where if watch.number < len(self.sites) else "its end"
+            self.changed = f"{watch.number} decisions where there had been {len(self.sites)}, up to {last}"
+        return result
+
+    def _decided(self, number: int, decision: Decision, func: Any) -> None:
+        if self.changed is not None:
+            return
+        site = self.sites[number] if number < len(self.sites) else None
+        name = func.__name__
+        if site is None or site.name != name:
+            self.changed = f"{name} where there had been {'nothing' if site is None else f'{site.name} ({site.where})'}"
+        elif site.axis is not None:
+            if decision.codes.shape[site.axis] != self.points:
+                self.changed = f"{name} on {tuple(decision.codes.shape)} for {self.points} points ({site.where})"
+            else:
+                self.visit(number, Lanes(decision, site.axis))
+
+
+class Lanes:
+    """A decision laid out by points: several at once where it has more axes."""
+
+    def __init__(self, decision: Decision, axis: int) -> None:
+        self.decision, self.axis = decision, axis
+
+    def codes(self) -> Tensor:
+        """(points, lanes) int64."""
+        return self._by_point(self.decision.codes).to(torch.int64)
+
+    def margin(self, point: Tensor, branch: Tensor) -> Tensor:
+        """(M,): the margin at points (M,) for `branch` (M, 3), the lane and the two codes between which it lies; with a graph."""
+        lane, low, high = branch.unbind(1)
+        decision = self.decision
+        with torch.enable_grad():
+            if isinstance(decision, Choice):
+                # of as many groups as there are lanes over choices in a lane
+                values = self._by_point(decision.values.movedim(decision.dim, -1), self._chosen_axis(), 1)
+                group = lane // decision.codes.shape[decision.dim]
+                return values[point, group, high] - values[point, group, low]
+            return self._by_point(decision.margin().expand(decision.codes.shape))[point, lane]
+
+    def _chosen_axis(self) -> int:
+        assert isinstance(self.decision, Choice)
+        return self.axis - (self.decision.dim < self.axis)
+
+    def _by_point(self, tensor: Tensor, axis: int | None = None, kept: int = 0) -> Tensor:
+        if isinstance(self.decision, Choice) and kept == 0:
+            tensor, axis = tensor.movedim(self.decision.dim, -1), self._chosen_axis()
+        tensor = tensor.movedim(self.axis if axis is None else axis, 0)
+        return tensor.reshape(len(tensor), -1, *tensor.shape[tensor.ndim - kept :] if kept else ())
+
+
+class Signatures:
+    """A visitor: one int64 a point, equal where all decisions are."""
+
+    def __init__(self) -> None:
+        self._sum: Tensor | None = None
+
+    def signatures(self, count: int) -> Tensor:
+        """(count,): of the first points."""
+        return torch.zeros(count, dtype=torch.int64) if self._sum is None else self._sum[:count]
+
+    def __call__(self, number: int, lanes: Lanes) -> None:
+        codes = lanes.codes()
+        # a sum of the codes times random numbers, modulo 2^64
+        lane = torch.arange(codes.shape[1], device=codes.device)
+        factor = (rng.bits(_LANE, number, 0, lane) << 32) + rng.bits(_LANE, number, 1, lane)
+        part = codes[:, 0] * factor[0] if len(factor) == 1 else (codes * factor).sum(1)
+        self._sum = part if self._sum is None else self._sum.add_(part)
+
+
+class Causes(Signatures):
+    """A visitor for points [before; after], n of each (and more, that do not matter): the first decision in which each pair differs.
+
+    Attributes:
+        cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes before and after.
+        margin: (2 n,) of that decision, at both points; total: their sum, with a graph.
+    """
+
+    def __init__(self, count: int, device: torch.device) -> None:
+        super().__init__()
+        self.count = count
+        self.cause = torch.full((count,), -1, dtype=torch.int64, device=device)
+        self.branch = torch.zeros(count, 3, dtype=torch.int64, device=device)
+        self.margin = torch.zeros(2 * count, dtype=torch.float64, device=device)
+        self.total: Tensor | None = None
+
+    def __call__(self, number: int, lanes: Lanes) -> None:
+        super().__call__(number, lanes)
+        codes = lanes.codes()
+        before, after = codes[: self.count], codes[self.count : 2 * self.count]
+        differs = before != after
+        new = (differs.any(1) & (self.cause < 0)).nonzero()[:, 0]
+        if len(new) == 0:
+            return
+        lane = differs[new].to(torch.int8).argmax(1)
+        self.cause[new] = number
+        self.branch[new] = torch.stack([lane, before[new, lane], after[new, lane]], 1)
+        both, branch = torch.cat([new, new + self.count]), self.branch[new].repeat(2, 1)
+        margin = lanes.margin(both, branch)
+        self.margin[both] = margin.detach().to(torch.float64)
+        self.total = margin.sum() if self.total is None else self.total + margin.sum()
+
+
+class Margins(Signatures):
+    """A visitor: the margins `total` (N,) of the points' own causes, with a graph, and the signatures."""
+
+    def __init__(self, cause: Tensor, branch: Tensor) -> None:
+        super().__init__()
+        self.cause, self.branch = cause, branch
+        self.wanted = set(cause.unique().tolist())
+        self.total = torch.zeros(len(cause), dtype=torch.float64, device=cause.device)
+
+    def __call__(self, number: int, lanes: Lanes) -> None:
+        super().__call__(number, lanes)
+        if number in self.wanted:
+            point = (self.cause == number).nonzero()[:, 0]
+            margin = lanes.margin(point, self.branch[point]).to(torch.float64)
+            self.total = self.total.index_add(0, point, margin)
+
+
+def changed_program(what: str) -> McaaError:
+    return McaaError(
+        f"f took other decisions than before: {what}; its Python control flow depends on values: write it with torch.where, "
+        "so that every call runs the same operations"
+    )
