@@ -169,7 +169,9 @@ def resize(
     image, transform = input.reshape(-1, height, width), None
     if align_corners:
         steps = [(given - 1) / max(1, wanted - 1) for given, wanted in zip((height, width), size, strict=True)]
-        transform = torch.tensor([[steps[1], 0, 0.5 - steps[1] / 2], [0, steps[0], 0.5 - steps[0] / 2], [0, 0, 1]], dtype=torch.float64)
+        transform = torch.tensor(
+            [[steps[1], 0, 0.5 - steps[1] / 2], [0, steps[0], 0.5 - steps[0] / 2], [0, 0, 1]], dtype=torch.float64
+        )
     found = _of(layer, Texture(image, kind, "border", transform=transform), input)
     return found.reshape(*input.shape[:-2], *found.shape[-2:])
 

@@ -89,9 +89,7 @@ def test_slopes_are_those_of_the_weights(filter: Filter, along: tuple[int, int])
     col, row = (t.flatten() for t in torch.broadcast_tensors(*samples.places(*block)[:2]))
     totals = torch.stack([filter(col - 5.5, row - i - 0.5).sum() for i in range(SIZE[0])])
     h = 1e-6
-    ahead, behind = (
-        at_places(filter, grad / totals[:, None], col + s * along[0] * h, row + s * along[1] * h)[0] for s in (1, -1)
-    )
+    ahead, behind = (at_places(filter, grad / totals[:, None], col + s * along[0] * h, row + s * along[1] * h)[0] for s in (1, -1))
     torch.testing.assert_close(found.flatten(), (ahead - behind) / (2 * h), rtol=1e-5, atol=1e-7)
 
 

@@ -100,8 +100,9 @@ def test_what_f_makes_itself_is_none() -> None:
 @pytest.mark.filterwarnings("ignore:Converting a tensor:UserWarning")
 def test_numbers(turn: Callable[[Tensor], float], name: str) -> None:
     weight = learned()
-    with pytest.warns(McaaWarning, match=f"into a number \\({name}\\)"):
-        found(lambda x, y: x * turn(weight))
+    assert found(lambda x, y: x * turn(weight)).severed == {name}
+    with pytest.warns(McaaWarning, match=f"into a number by {name}"):
+        mcaa.Supersampler((4, 4), discontinuities=False)(lambda x, y: x * turn(weight))
 
 
 def test_in_place_operations_are_told() -> None:

@@ -53,7 +53,9 @@ class Adjoint:
         phase = (rows % self.period).to(torch.int64)
         total = torch.zeros(self.period, dtype=torch.float64).index_add(0, phase, filter(x, y).sum((0, 2)))[phase]
         if not bool((total != 0).all()):
-            raise McaaError(f"none of the {strip.count / strip.period:g} samples a pixel meets {filter}: raise spp, or take a wider filter")
+            raise McaaError(
+                f"none of the {strip.count / strip.period:g} samples a pixel meets {filter}: raise spp, or take a wider filter"
+            )
 
         def place(tensor: Tensor) -> Tensor:
             return tensor.to(device, dtype)

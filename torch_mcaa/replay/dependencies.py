@@ -7,7 +7,6 @@ cannot be seen, such as custom ones and scripted code, have used beside.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,11 +15,10 @@ from torch import Tensor, enable_grad
 from torch.autograd.graph import Node, get_gradient_edge, saved_tensors_hooks
 from torch.overrides import TorchFunctionMode
 
-from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
 
 _SEVERING = {"item", "tolist", "__float__", "__int__", "__bool__", "__index__", "__complex__"}
-"""Methods that turn a tensor into a number, through which no gradient passes."""
 
 
 @dataclass(frozen=True)
@@ -31,17 +29,17 @@ class Dependencies:
         tensors: all of them, each once.
         smooth: whether f's values have a gradient, as far as autograd knows.
         own: how many leaves of their graph f makes itself, as for a slope inside it.
+        severed: the methods by which f turns a tensor that requires a gradient into a number, where no gradient passes.
     """
 
     tensors: tuple[Tensor, ...]
     smooth: bool
     own: int
+    severed: frozenset[str] = frozenset()
 
 
 def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
     """Find what f depends on at some points.
-
-    Warns (`McaaWarning`) where f turns a tensor that requires a gradient into a number.
 
     Raises:
         McaaError: f uses a tensor that was computed from others outside it, in a way that cannot be seen.
@@ -61,17 +59,9 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
             f"f uses a tensor that was computed outside it ({', '.join(sorted(node.name() for node in hidden))}) in a custom operation or "
             "scripted code, where it cannot be found; let f use it in an operation of PyTorch first, as in 1 * tensor"
         )
-    severed = runs[1].severed
-    if severed:
-        warnings.warn(
-            f"f turns a tensor that requires a gradient into a number ({', '.join(sorted(severed))}), and no gradient passes there; "
-            "let f use the tensor itself",
-            McaaWarning,
-            stacklevel=4,
-        )
     common = {key: leaf for key, leaf in leaves.items() if key in others_leaves}
     smooth = any(value.requires_grad for value in graphs[1])
-    return Dependencies(tuple({**outside, **common}.values()), smooth, len(others_leaves) - len(common))
+    return Dependencies(tuple({**outside, **common}.values()), smooth, len(others_leaves) - len(common), frozenset(runs[1].severed))
 
 
 def check_reached(values: Sequence[Tensor], known: Dependencies) -> None:

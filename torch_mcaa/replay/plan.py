@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.edges.program import Program, probe
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.integrand import Function
@@ -47,7 +48,18 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
             warnings.warn(
                 f"f uses none of its {len(learned)} parameters that require a gradient: they get none", McaaWarning, stacklevel=5
             )
-    if found.tensors and not found.smooth and not discontinuities:
+    program = None
+    # a texture's values do not jump as its texels change, and its transform, if it is not one of its tensors here, is in `moved`
+    if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
+        program = _program(task)
+    elif found.severed:
+        warnings.warn(
+            f"f turns a tensor that requires a gradient into a number by {', '.join(sorted(found.severed))}, and no gradient passes there; "
+            "let f use the tensor itself",
+            McaaWarning,
+            stacklevel=5,
+        )
+    elif found.tensors and not found.smooth:
         warnings.warn(
             "f's values have no gradient to the tensors that f uses, which decide between values at most: they get none; "
             "use discontinuities='auto'",
@@ -57,7 +69,25 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
     if decorrelate:
         high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
         task = replace(task, seed=high << 32 | low)
-    return Replay(task, spp, found, moved)
+    return Replay(task, spp, program, found, moved)
+
+
+def _program(task: Task) -> Program | None:
+    """f's decisions, if it takes any."""
+    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: None, lambda kept: kept):
+        program = probe(task.integrand.function, task.screen, task.dtype, task.device)
+    for problem in program.problems:
+        warnings.warn(
+            f"{problem}; jumps there count nothing towards the gradient: say where they are by level_set(g), or use discontinuities=False",
+            McaaWarning,
+            stacklevel=6,
+        )
+    return program if program.sites else None
+
+
+def _asks(tensor: Tensor | None) -> bool:
+    """Whether a tensor is to get a gradient."""
+    return tensor is not None and tensor.requires_grad
 
 
 def _held(task: Task, extent: Tensor | None) -> tuple[Function, Moved]:
@@ -71,7 +101,7 @@ def _held(task: Task, extent: Tensor | None) -> tuple[Function, Moved]:
         raise McaaError(
             f"a gradient with respect to the extent needs a filter that goes to 0 at its sides, got {filter}; take Tent()"
         )
-    if isinstance(f, Texture) and f.transform is not None and f.transform.requires_grad and smooth:
+    if isinstance(f, Texture) and f.transform is not None and _asks(f.transform) and smooth:
         transform, f = f.transform, copy.copy(f)
         f.transform = transform.detach()
     moved = Moved(task.screen, extent, transform)

@@ -1,0 +1,72 @@
+"""What the jumps of f contribute to the derivatives as they move: the boundary term, met by lines along both axes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.boundary import elements, surrogate
+from torch_mcaa.edges.program import Program
+from torch_mcaa.errors import McaaWarning
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.replay.adjoint import at_places
+from torch_mcaa.replay.dependencies import Dependencies, check_reached
+
+_SAMPLES_A_LINE = 16
+_CELL = 128
+
+
+class OfJumps:
+    """With respect to the tensors that f depends on.
+
+    The lines are some for each so many samples a pixel, and their evaluations count: `evaluations` has how many there were.
+    """
+
+    def __init__(self, task: Task, program: Program, inputs: Dependencies, spp: int) -> None:
+        self.task, self.program, self.inputs = task, program, inputs
+        self.lines = max(1, spp // _SAMPLES_A_LINE)
+        self.evaluations = 0
+
+    def parts(self, grad: Tensor) -> Iterator[tuple[Tensor | None, ...]]:
+        """The derivatives, for the gradient (C, H, W) of the pixels, cell by cell.
+
+        Warns (`McaaWarning`) of decisions whose margins have no slope, so that their jumps were left out.
+        """
+        task, function = self.task, self.task.integrand.function
+        flat: set[int] = set()
+        for cell in task.screen.cells(_CELL, _CELL):
+            met = elements(
+                function,
+                task.screen,
+                cell,
+                task.filter,
+                task.seed,
+                self.lines,
+                closed=task.boundary != "extend",
+                program=self.program,
+                dtype=task.dtype,
+                device=task.device,
+                tally=self._counted,
+            )
+            flat |= set(met.flat.tolist())
+            if not len(met):
+                continue
+            coefficient = met.weight * (at_places(task.filter, grad, met.col, met.row) * met.jump).sum(0)
+            term = surrogate(function, task.screen, met, coefficient)
+            if term.requires_grad:
+                check_reached([term], self.inputs)
+                yield torch.autograd.grad(term, self.inputs.tensors, allow_unused=True)
+        for number in sorted(flat):
+            site = self.program.sites[number]
+            warnings.warn(
+                f"{site.where}: what {site.name} decides on does not change with the place at an edge, so that the edge's part of the "
+                "gradient is left out",
+                McaaWarning,
+                stacklevel=2,
+            )
+
+    def _counted(self, col: Tensor, row: Tensor) -> None:
+        self.evaluations += len(col)
