@@ -204,7 +204,9 @@ def edges(case: Case, filter: Filter, seed: int, lines: int) -> tuple[Tensor, fl
     program = probe(f, screen, torch.float64, torch.device("cpu"))
     cell = Cell(0, 0, *SIZE)
     met = elements(f, screen, cell, filter, seed, lines, program=program, dtype=torch.float64, tally=tally)
-    return boundary_image(f, screen, met, filter, theta), (spent[0] + len(met)) / (SIZE[0] * SIZE[1])
+    # the margins are asked for once more
+    tally(met.col, met.row)
+    return boundary_image(f, screen, met, filter, theta), spent[0] / (SIZE[0] * SIZE[1])
 
 
 def boundary_image(f: Function, screen: Screen, met: Elements, filter: Filter, theta: Tensor) -> Tensor:

@@ -29,6 +29,8 @@ LINES = 4
 """Lines a pixel along either axis, by default."""
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
+_FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
+_LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Elements:
         cause: (N,) int64, the number of the decision whose margin crosses zero; branch: (N, 3) its lane and the codes on either side.
         at: (2, N) float64 column and row, in the same bracket, where the margin is to be differentiated.
         program: f's decisions; precision: the dtype in which f was asked.
-        flat: (N',) the numbers of decisions whose margins had no slope, so that their elements were left out.
+        problems: sentences about elements that had to be left out, each with a line of the user's code.
     """
 
     col: Tensor
@@ -54,7 +56,7 @@ class Elements:
     at: Tensor
     program: Program
     precision: torch.dtype
-    flat: Tensor
+    problems: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.col)
@@ -97,8 +99,10 @@ def elements(
             across = (max(across[0], 0), min(across[1], whole[1 - axis]))
         segments, last = scan(asked, axis, along, across, lines, seed, limits)
         found.append(_weighed(refine(asked, segments), lines, last))
-    col, row, jump, weight, cause, branch, at, flat = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
-    return Elements(col, row, jump, weight, cause, branch.T, at, program, asked.precision, flat)
+    col, row, jump, weight, cause, branch, at, flat, leap = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
+    problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
+    problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
+    return Elements(col, row, jump, weight, cause, branch.T, at, program, asked.precision, tuple(problems))
 
 
 def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
@@ -120,16 +124,28 @@ def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
     high = changes.slope.abs().sum(0).argmax(0)
     slope = changes.slope.gather(1, high.expand(2, 1, -1))[:, 0].abs()
     # what the other axis meets better counts less here: of |g_x|^3 and |g_y|^3 each has its share
-    size = slope.pow(3).sum(0) / slope[brackets.axis].square()
+    # scaled, so that no cube under- or overflows
+    most = slope.amax(0)
+    size = most * (slope / most).pow(3).sum(0) / (slope[brackets.axis] / most).square()
     jump = (changes.values[:, 1] - changes.values[:, 0]) * torch.sign(after - before)
     own = (brackets.segment > 0) & (brackets.segment < last - 1)
     changed = own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
-    flat = changes.cause[changed & ~(slope.sum(0) > 0)]
-    some = (changed & (size > 0) & size.isfinite()).nonzero()[:, 0]
+    flat, leap = changed & changes.flat, changed & changes.leap
+    some = (changed & ~flat & ~leap & size.isfinite()).nonzero()[:, 0]
     col, row = brackets.places(place)
     at = torch.stack(brackets.places(torch.where(high > 0, brackets.high, brackets.low)))
     weight = 1 / (probability * lines * size)
-    return col[some], row[some], jump[:, some], weight[some], changes.cause[some], changes.branch[some].T, at[:, some], flat
+    return (
+        col[some],
+        row[some],
+        jump[:, some],
+        weight[some],
+        changes.cause[some],
+        changes.branch[some].T,
+        at[:, some],
+        changes.cause[flat],
+        changes.cause[leap],
+    )
 
 
 def margins(function: Function, screen: Screen, elements: Elements) -> Tensor:

@@ -58,7 +58,9 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
     problems = [*first.problems]
     # a tensor whose size follows the number of points, made by nothing that PyTorch could show
-    problems += [text for place, text in first.strangers.items() if place in second.strangers]
+    hidden = [*first.hidden, *(text for place, text in first.strangers.items() if place in second.strangers)]
+    if not any(met.name == "level_set" for met in first.met):
+        problems += hidden
     sites = []
     for one, two in zip(first.met, second.met, strict=True):
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == _COUNTS]
@@ -66,11 +68,13 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         sites.append(Site(one.name, one.where, axis))
         if one.wrapped:
             problems.append(f"{one.where}: {one.name} inside vmap or another function transform")
+        elif axis is None and one.name in _POLES:
+            continue
         elif axis is None and one.depends & _POINT:
             problems.append(
                 f"{one.where}: {one.name} mixes points, or takes some of them only, so that it has no margin at a point"
             )
-        elif axis is None and one.depends & _PARAMETER and one.name not in _POLES:
+        elif axis is None and one.depends & _PARAMETER:
             problems.append(f"{one.where}: {one.name} decides on parameters alone, and jumps for all points at once")
     return Program(tuple(sites), tuple(dict.fromkeys(problems)))
 
@@ -83,6 +87,7 @@ class _Probe(Watch):
         self.points = points
         self.met: list[_Met] = []
         self.problems: list[str] = []
+        self.hidden: list[str] = []
         self.strangers: dict[tuple[int, int], str] = {}
         self._depends: dict[int, int] = {}
         self._alive: list[Tensor] = []
@@ -144,7 +149,7 @@ class _Probe(Watch):
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
-        wrapped = torch._C._functorch.is_functorch_wrapped_tensor(codes)
+        wrapped = torch._C._functorch.is_functorch_wrapped_tensor(codes)  # pyright: ignore[reportAttributeAccessIssue]
         self.met.append(_Met(func.__name__, _where(), tuple(codes.shape), dim, self._now, wrapped))
 
     def _note(self, tensor: Tensor, depends: int) -> None:
@@ -160,7 +165,7 @@ class _Probe(Watch):
         depends = _PARAMETER if tensor.requires_grad else 0
         if tensor.grad_fn is not None and _reaches(tensor, self._leaves):
             depends |= _POINT
-            self.problems.append(
+            self.hidden.append(
                 f"{_where()}: {user} takes a tensor from code that the trace cannot see (scripted, compiled, or a kernel)"
             )
         elif not tensor.requires_grad and self.points in tensor.shape:

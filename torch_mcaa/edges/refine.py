@@ -8,11 +8,15 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.asked import AT_ONCE, Asked
-from torch_mcaa.edges.scan import Brackets, joined
+from torch_mcaa.edges.scan import Brackets, Segments, joined
 from torch_mcaa.edges.trace import Causes, Margins
 
 _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
+_NARROWEST = 2.0**-26
+"""Px: of those where the margin looks like a step."""
+_TIMES = 100
+"""A margin that changes so many times more than its slope explains is not continuous."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,17 @@ class Changes:
     def __len__(self) -> int:
         return len(self.cause)
 
+    @property
+    def flat(self) -> Tensor:
+        """bool (N,): margins without a slope at either end."""
+        return ~(self.slope.abs().sum(0) > 0).any(0)
+
+    @property
+    def leap(self) -> Tensor:
+        """bool (N,): margins that change far more than their slopes explain, so that they are not continuous, or nearly steps."""
+        along = self.slope[self.brackets.axis].abs().amax(0) * (self.brackets.high - self.brackets.low)
+        return ~self.flat & ((self.margin[1] - self.margin[0]).abs() > _TIMES * along)
+
     def take(self, index: Tensor) -> Changes:
         """Those at `index`, integers or bool."""
         return Changes(
@@ -49,22 +64,22 @@ class Changes:
         )
 
 
-def refine(asked: Asked, segments: Brackets) -> Changes:
+def refine(asked: Asked, found: Segments) -> Changes:
     """All changes in segments between whose ends the signatures differ.
 
-    The margin of the first decision that differs is known at both ends. With that at one place more, found by a straight line, its root is
+    The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
     foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are halved, and
     both halves kept where they differ: margins that lead astray cost evaluations, no accuracy.
     """
-    ends = _examined(asked, segments, False)
-    first = _straight(segments, ends.margin)
-    signature, margin = _at(asked, segments, first, ends)
+    segments = found.brackets
+    first = _straight(segments, found.margin)
+    signature, margin = _at(asked, found, first)
     left, right = signature != segments.before, signature != segments.after
     several = segments.take(left & right)
     rest = [several.split(first[None, left & right], signature[None, left & right])]
     single = left ^ right
     low, high = torch.where(left, segments.low, first), torch.where(left, first, segments.high)
-    root = _parabola(segments, first, ends.margin, margin)[single]
+    root = _parabola(segments, first, found.margin, margin)[single]
     one = segments.take(single)
     one = replace(
         one,
@@ -75,19 +90,23 @@ def refine(asked: Asked, segments: Brackets) -> Changes:
     )
     root = torch.where((root >= one.low) & (root <= one.high), root, (one.low + one.high) / 2)
     near = replace(one, low=torch.maximum(one.low, root - _NARROW / 2), high=torch.minimum(one.high, root + _NARROW / 2))
-    tried = _examined(asked, near, True)
+    tried = _examined(asked, near)
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _halved(asked, joined(rest)), True)
-    return _joined([tried.take(hit), halved])
+    halved = _examined(asked, _halved(asked, joined(rest), _NARROW))
+    changes = _joined([tried.take(hit), halved])
+    # the margin may saturate a little beside the edge
+    astray = changes.flat | changes.leap
+    closer = _examined(asked, _halved(asked, changes.brackets.take(astray), _NARROWEST))
+    return _joined([changes.take(~astray), closer])
 
 
-def _halved(asked: Asked, brackets: Brackets) -> Brackets:
-    """All changes in them, in brackets no wider than `_NARROW`."""
+def _halved(asked: Asked, brackets: Brackets, width: float) -> Brackets:
+    """All changes in them, in brackets no wider than `width`."""
     done = []
     while len(brackets):
-        narrow = brackets.high - brackets.low <= _NARROW
+        narrow = brackets.high - brackets.low <= width
         done.append(brackets.take(narrow))
         brackets = brackets.take(~narrow)
         middle = (brackets.low + brackets.high) / 2
@@ -109,23 +128,23 @@ def _parabola(segments: Brackets, first: Tensor, margin: Tensor, there: Tensor) 
     return low + first * (a * c / ((b - a) * (b - c))) + segments.high * (a * b / ((c - a) * (c - b)))
 
 
-def _at(asked: Asked, segments: Brackets, place: Tensor, ends: Changes) -> tuple[Tensor, Tensor]:
+def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor]:
     """(N,) signatures, and margins of the segments' causes, at a place in each."""
     found = []
-    col, row = segments.places(place)
+    col, row = segments.brackets.places(place)
     for start in range(0, len(place), AT_ONCE):
         part = slice(start, start + AT_ONCE)
-        cause, branch = ends.cause[part], ends.branch[part]
+        cause, branch = segments.cause[part], segments.branch[part]
         _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b))
         found.append((seen.signatures(len(cause)), seen.total.detach()))
     if not found:
-        return segments.before, place
+        return segments.brackets.before, place
     signature, margin = (torch.cat(parts) for parts in zip(*found, strict=True))
     return signature, margin
 
 
-def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
-    """f again at the ends of brackets, with what changes between them and, if `sloped`, its margin's derivatives."""
+def _examined(asked: Asked, brackets: Brackets) -> Changes:
+    """f again at the ends of brackets, with what changes between them and its margin's derivatives."""
     parts = []
     for start in range(0, max(1, len(brackets)), AT_ONCE // 2):
         part = brackets.take(torch.arange(start, min(start + AT_ONCE // 2, len(brackets)), device=asked.device))
@@ -134,10 +153,11 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
             none = part.low.new_zeros
             whole = part.line.new_zeros
             return Changes(part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0))
-        with torch.set_grad_enabled(sloped):
-            col, row = (t.flatten().requires_grad_(sloped) for t in part.places(torch.stack([part.low, part.high])))
-            values, seen = asked.run(col, row, lambda c=count: Causes(c, asked.device))
-            slope = _slopes(seen.total, col, row) if sloped else torch.zeros(2, 2 * count, device=asked.device)
+        first = torch.arange(count, device=asked.device)
+        with torch.enable_grad():
+            col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
+            values, seen = asked.run(col, row, lambda f=first: Causes(f, f + len(f), True))
+            slope = _slopes(seen.total, col, row)
         parts.append(
             Changes(
                 part,
@@ -145,7 +165,7 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool) -> Changes:
                 values.detach().unflatten(1, (2, count)),
                 seen.cause,
                 seen.branch,
-                seen.margin.view(2, count),
+                seen.margin,
                 slope.unflatten(1, (2, count)),
             )
         )

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.asked import Asked
+from torch_mcaa.edges.asked import AT_ONCE, Asked
+from torch_mcaa.edges.trace import Causes
 
 _SCAN = 0x5CA2
 _GROUP = 4
@@ -66,14 +67,27 @@ def joined(parts: list[Brackets]) -> Brackets:
     return Brackets(parts[0].axis, *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(parts[0])[1:]))
 
 
+@dataclass(frozen=True)
+class Segments:
+    """Segments that hold a change, with what is known of the first decision that differs between their ends.
+
+    cause: (N,), branch: (N, 3), margin: (2, N), as in `Causes`.
+    """
+
+    brackets: Brackets
+    cause: Tensor
+    branch: Tensor
+    margin: Tensor
+
+
 def scan(
     asked: Asked, axis: int, along: tuple[int, int], across: tuple[int, int], lines: int, seed: int, limits: tuple[float, float]
-) -> tuple[Brackets, int]:
+) -> tuple[Segments, int]:
     """The segments of 1 px that begin in the pixels [along[0], along[1]) and hold a change, on `lines` lines in each pixel of `across`.
 
     The lines are 1 / lines px apart, from one random place for the whole screen; each is cut into segments at a random phase of its own.
     Whatever the rectangle, what is found in a pixel is the same. With them come those beside them that begin just outside, which tell how
-    thin a piece at the end is: segments 0, and the last, the number returned.
+    thin a piece at the end is: segments 0, and the last, whose number is returned.
 
     limits: f is not asked outside them, along the lines.
     """
@@ -84,25 +98,42 @@ def scan(
     lie = (pixel + (number + shift) / lines).to(device)
     phase = rng.uniform(seed, _SCAN, axis, pixel, number, dtype=torch.float64).to(device)
     start = torch.arange(along[0] - 1, along[1] + 2, device=device)
+    found = []
+    size = max(1, AT_ONCE // len(start))
+    for begin in range(0, len(lie), size):
+        found.append(_differing(asked, axis, lie[begin : begin + size], phase[begin : begin + size], begin, start, limits))
+    brackets = joined([f.brackets for f in found])
+    cause, branch = (torch.cat(parts) for parts in ([f.cause for f in found], [f.branch for f in found]))
+    return Segments(brackets, cause, branch, torch.cat([f.margin for f in found], 1)), len(start) - 2
+
+
+def _differing(
+    asked: Asked, axis: int, lie: Tensor, phase: Tensor, begin: int, start: Tensor, limits: tuple[float, float]
+) -> Segments:
+    """The segments between neighbours among the places start + phase of each line that differ."""
     place = (start + phase[:, None]).clamp(*limits)
     level = lie[:, None].expand_as(place)
     col, row = (place, level) if axis == 0 else (level, place)
-    signature = asked.signatures(col.flatten(), row.flatten()).view(place.shape)
+    index = torch.arange(place.numel(), device=asked.device).view(place.shape)
+    first, second = index[:, :-1].flatten(), index[:, 1:].flatten()
+    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(first, second, False))
+    signature = seen.signatures(place.numel()).view(place.shape)
     differs = signature[:, 1:] != signature[:, :-1]
     differs[:, 0] &= differs[:, 1]
     differs[:, -1] &= differs[:, -2]
     line, segment = differs.nonzero().unbind(1)
-    found = Brackets(
+    brackets = Brackets(
         axis,
         lie[line],
         place[line, segment],
         place[line, segment + 1],
         signature[line, segment],
         signature[line, segment + 1],
-        line,
+        line + begin,
         segment,
     )
-    return found, differs.shape[1] - 1
+    chosen = differs.flatten()
+    return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen])
 
 
 def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor) -> Tensor:

@@ -153,36 +153,37 @@ class Signatures:
 
 
 class Causes(Signatures):
-    """A visitor for points [before; after], n of each (and more, that do not matter): the first decision in which each pair differs.
+    """A visitor: the first decision in which the points `first` and `second` (n,) differ.
 
     Attributes:
-        cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes before and after.
-        margin: (2 n,) of that decision, at both points; total: their sum, with a graph.
+        cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
+        margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
     """
 
-    def __init__(self, count: int, device: torch.device) -> None:
+    def __init__(self, first: Tensor, second: Tensor, sloped: bool) -> None:
         super().__init__()
-        self.count = count
-        self.cause = torch.full((count,), -1, dtype=torch.int64, device=device)
-        self.branch = torch.zeros(count, 3, dtype=torch.int64, device=device)
-        self.margin = torch.zeros(2 * count, dtype=torch.float64, device=device)
+        self.sloped = sloped
+        self.first, self.second = first, second
+        self.cause = torch.full_like(first, -1)
+        self.branch = first.new_zeros(len(first), 3)
+        self.margin = torch.zeros(2, len(first), dtype=torch.float64, device=first.device)
         self.total: Tensor | None = None
 
     def __call__(self, number: int, lanes: Lanes) -> None:
         super().__call__(number, lanes)
         codes = lanes.codes()
-        before, after = codes[: self.count], codes[self.count : 2 * self.count]
-        differs = before != after
+        differs = codes[self.first] != codes[self.second]
         new = (differs.any(1) & (self.cause < 0)).nonzero()[:, 0]
         if len(new) == 0:
             return
-        lane = differs[new].to(torch.int8).argmax(1)
+        lane, first, second = differs[new].to(torch.int8).argmax(1), self.first[new], self.second[new]
         self.cause[new] = number
-        self.branch[new] = torch.stack([lane, before[new, lane], after[new, lane]], 1)
-        both, branch = torch.cat([new, new + self.count]), self.branch[new].repeat(2, 1)
-        margin = lanes.margin(both, branch)
-        self.margin[both] = margin.detach().to(torch.float64)
-        self.total = margin.sum() if self.total is None else self.total + margin.sum()
+        branch = self.branch[new] = torch.stack([lane, codes[first, lane], codes[second, lane]], 1)
+        margin = lanes.margin(torch.cat([first, second]), branch.repeat(2, 1))
+        self.margin[:, new] = margin.detach().to(torch.float64).view(2, -1)
+        if self.sloped:
+            with torch.enable_grad():
+                self.total = margin.sum() if self.total is None else self.total + margin.sum()
 
 
 class Margins(Signatures):
@@ -199,7 +200,9 @@ class Margins(Signatures):
         if number in self.wanted:
             point = (self.cause == number).nonzero()[:, 0]
             margin = lanes.margin(point, self.branch[point]).to(torch.float64)
-            self.total = self.total.index_add(0, point, margin)
+            # f may run this part of it under no_grad
+            with torch.enable_grad():
+                self.total = self.total.index_add(0, point, margin)
 
 
 def changed_program(what: str) -> McaaError:
