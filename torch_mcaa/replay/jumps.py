@@ -16,7 +16,7 @@ from torch_mcaa.replay.adjoint import at_places
 from torch_mcaa.replay.dependencies import Dependencies, check_reached
 
 _SAMPLES_A_LINE = 16
-_CELL = 128
+_CELL = 256
 
 
 class OfJumps:
@@ -33,10 +33,10 @@ class OfJumps:
     def parts(self, grad: Tensor) -> Iterator[tuple[Tensor | None, ...]]:
         """The derivatives, for the gradient (C, H, W) of the pixels, cell by cell.
 
-        Warns (`McaaWarning`) of decisions whose margins have no slope, so that their jumps were left out.
+        Warns (`McaaWarning`) of edges that had to be left out.
         """
         task, function = self.task, self.task.integrand.function
-        flat: set[int] = set()
+        problems: dict[str, None] = {}
         for cell in task.screen.cells(_CELL, _CELL):
             met = elements(
                 function,
@@ -51,7 +51,7 @@ class OfJumps:
                 device=task.device,
                 tally=self._counted,
             )
-            flat |= set(met.flat.tolist())
+            problems |= dict.fromkeys(met.problems)
             if not len(met):
                 continue
             coefficient = met.weight * (at_places(task.filter, grad, met.col, met.row) * met.jump).sum(0)
@@ -59,14 +59,8 @@ class OfJumps:
             if term.requires_grad:
                 check_reached([term], self.inputs)
                 yield torch.autograd.grad(term, self.inputs.tensors, allow_unused=True)
-        for number in sorted(flat):
-            site = self.program.sites[number]
-            warnings.warn(
-                f"{site.where}: what {site.name} decides on does not change with the place at an edge, so that the edge's part of the "
-                "gradient is left out",
-                McaaWarning,
-                stacklevel=2,
-            )
+        for problem in problems:
+            warnings.warn(f"{problem}; its part of the gradient is left out", McaaWarning, stacklevel=2)
 
     def _counted(self, col: Tensor, row: Tensor) -> None:
         self.evaluations += len(col)

@@ -49,11 +49,13 @@ class Samples:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Strips and planes of at most about BLOCK samples."""
-        planes = max(1, min(self.strip.count, BLOCK // self.cols))
+        count = self.strip.count
+        # as equal parts as can be, so that no number of samples makes larger blocks than another
+        planes = -(-count // -(-count * self.cols // BLOCK))
         strips = max(1, BLOCK // (self.cols * planes))
         for strip in range(0, self.strips, strips):
-            for plane in range(0, self.strip.count, planes):
-                yield slice(strip, min(strip + strips, self.strips)), slice(plane, min(plane + planes, self.strip.count))
+            for plane in range(0, count, planes):
+                yield slice(strip, min(strip + strips, self.strips)), slice(plane, min(plane + planes, count))
 
     def places(self, strips: slice, planes: slice) -> tuple[Tensor, Tensor, Tensor | None]:
         """float64 screen columns (planes, columns) and rows (strips, planes, 1) of samples, and which rows lie on a screen that closes."""
