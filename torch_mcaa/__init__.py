@@ -2,6 +2,8 @@
 
 from torch_mcaa.allocation import EqualVariance, Neyman, Uniform
 from torch_mcaa.densities import FilterDensity, Histogram, Mixture, Normal
+from torch_mcaa.edges.audit import check_discontinuities
+from torch_mcaa.edges.decisions import level_set
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators import (
     AdaptiveImportance,
@@ -75,7 +77,9 @@ __all__ = [
     "Texture",
     "Tolerance",
     "Uniform",
+    "check_discontinuities",
     "from_points",
+    "level_set",
     "render",
     "resize",
     "warp_affine",

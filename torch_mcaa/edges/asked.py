@@ -38,13 +38,17 @@ class Asked:
 
     def signatures(self, col: Tensor, row: Tensor) -> Tensor:
         """(N,) int64."""
+        return self.values(col, row)[1]
+
+    def values(self, col: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
+        """f's values (C, N) in float64, and the signatures (N,) int64."""
         if len(col) == 0:
-            return torch.zeros(0, dtype=torch.int64, device=self.device)
+            return torch.zeros(self.channels, 0, dtype=torch.float64, device=self.device), col.to(torch.int64)
         found = []
         for c, r in zip(col.split(AT_ONCE), row.split(AT_ONCE), strict=True):
-            _, seen = self.run(c, r, Signatures)
-            found.append(seen.signatures(len(c)))
-        return torch.cat(found)
+            values, seen = self.run(c, r, lambda: Signatures(self.device))
+            found.append((values, seen.signatures(len(c))))
+        return torch.cat([v for v, _ in found], 1), torch.cat([s for _, s in found])
 
     def run(self, col: Tensor, row: Tensor, visitor: Callable[[], V]) -> tuple[Tensor, V]:
         """f's values (C, N) in float64 and what the visitor has seen, in one call of f.

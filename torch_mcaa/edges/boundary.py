@@ -3,8 +3,8 @@
     d/dθ ∫ f w dr = ∫ (d/dθ f) w dr + ∮ Δf w (d/dθ g) / |∇g| dl
 
 over the edges g = 0, across which f changes by Δf from g < 0 to g > 0 (Reynolds' transport theorem; T.-M. Li et al. 2018, "Differentiable
-Monte Carlo Ray Tracing through Edge Sampling"). Lines along both axes meet the edges; an element dl is met with density
-n (|n_x| + |n_y|) dl by n lines a pixel along either.
+Monte Carlo Ray Tracing through Edge Sampling"). n lines a pixel along either axis meet the edges: an element dl is met with density
+n |n_x| dl by those along x, n |n_y| dl by those along y.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
 
-LINES = 4
+LINES = 3
 """Lines a pixel along either axis, by default."""
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
+_FEWEST = 256
+"""At least so many brackets, and two a pixel, are quartered at once."""
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -40,7 +42,8 @@ class Elements:
     Attributes:
         col, row: (N,) float64 screen pixels.
         jump: (C, N) float64, f where the margin is positive less f where it is negative, everything that follows the decision included.
-        weight: (N,) float64, ω / (n (|g_x| + |g_y|)), derivatives per screen pixel.
+        weight: (N,) float64, what w and the margin's derivative are to be multiplied by: of a line along x g_x^2 / (n p (|g_x|^3 + |g_y|^3)),
+            derivatives per screen pixel, p the probability with which it was met.
         cause: (N,) int64, the number of the decision whose margin crosses zero; branch: (N, 3) its lane and the codes on either side.
         at: (2, N) float64 column and row, in the same bracket, where the margin is to be differentiated.
         program: f's decisions; precision: the dtype in which f was asked.
@@ -77,32 +80,36 @@ def elements(
     device: torch.device | None = None,
     tally: Tally | None = None,
 ) -> Elements:
-    """The edge elements of one cell. Those of all cells of a screen are the same however it is cut into cells.
+    """The edge elements of one cell.
 
-    A cell at the border of the screen has the elements beyond it too, as far as the filter reaches, unless the screen is `closed`.
+    Those of all cells of a screen are the same however it is cut into cells, unless f is so dense with jumps that some are left out at
+    random, for which the others count more. A cell at the border of the screen has the elements beyond it too, as far as the filter reaches,
+    unless the screen is `closed`: then f is not asked there. Small cells cost time, large ones only as much memory as they have edges.
+
+    Args:
+        seed, lines: what the lines lie by, and how many a pixel there are along either axis.
+        program: what `probe` says of f, if it has been asked before.
+        dtype: the picture's; f is asked in float64, or in this where it refuses.
+        tally: told of every place that f is asked at.
+
+    Raises:
+        McaaError: f breaks its contract, or takes other decisions in one call than in another.
     """
     device = torch.device("cpu") if device is None else device
     program = program or probe(function, screen, dtype, device)
     asked = Asked(function, screen, program, dtype, device, tally)
-    found = []
-    for axis in (0, 1):
-        spans = [
-            _span(first, size, whole, reach, closed)
-            for first, size, whole, reach in zip(
-                (cell.col, cell.row), (cell.width, cell.height), (screen.width, screen.height), filter.radius, strict=True
-            )
-        ]
-        along, across = spans[axis], spans[1 - axis]
-        whole = (screen.width, screen.height)
-        limits = (0.0, whole[axis] * (1 - 2.0**-50)) if closed else (-torch.inf, torch.inf)
-        if closed:
-            across = (max(across[0], 0), min(across[1], whole[1 - axis]))
-        segments, last = scan(asked, axis, along, across, lines, seed, limits)
-        found.append(_weighed(refine(asked, segments), lines, last))
-    col, row, jump, weight, cause, branch, at, flat, leap = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
+    spans = [
+        _span(first, size, whole, reach, closed)
+        for first, size, whole, reach in zip(
+            (cell.col, cell.row), (cell.width, cell.height), (screen.width, screen.height), filter.radius, strict=True
+        )
+    ]
+    most = _FEWEST + 2 * cell.height * cell.width
+    changes = refine(asked, scan(asked, *spans, lines, seed, closed), most, seed)
+    col, row, jump, weight, cause, branch, at, flat, leap = _weighed(changes, lines)
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
-    return Elements(col, row, jump, weight, cause, branch.T, at, program, asked.precision, tuple(problems))
+    return Elements(col, row, jump, weight, cause, branch, at, program, asked.precision, tuple(problems))
 
 
 def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
@@ -111,8 +118,8 @@ def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tupl
     return first - beyond * (first == 0), first + size + beyond * (first + size == whole) * (not closed)
 
 
-def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
-    """What `Elements` holds of the changes along one axis."""
+def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
+    """What `Elements` holds of the changes."""
     brackets = changes.brackets
     order = torch.argsort(brackets.low)
     changes = changes.take(order[torch.argsort(brackets.line[order], stable=True)])
@@ -120,28 +127,29 @@ def _weighed(changes: Changes, lines: int, last: int) -> tuple[Tensor, ...]:
     ratio = (before / (before - after)).nan_to_num(0.5).clamp(0, 1)
     place = brackets.low + ratio * (brackets.high - brackets.low)
     probability = share(brackets.line, place, brackets.before, brackets.after)
-    # margins that leave a plateau slope on one side alone; and a slope of 0 at the edge is none beside it
-    high = changes.slope.abs().sum(0).argmax(0)
+    # the nearer end, unless the margin is on a plateau there, or too flat to be differentiated
+    steep = changes.slope.abs().sum(0)
+    high = (after.abs() < before.abs()).long()
+    high = torch.where(steep.gather(0, high[None])[0] > _FLAT * steep.amax(0), high, 1 - high)
     slope = changes.slope.gather(1, high.expand(2, 1, -1))[:, 0].abs()
-    # what the other axis meets better counts less here: of |g_x|^3 and |g_y|^3 each has its share
-    # scaled, so that no cube under- or overflows
+    # an edge is met by both axes: of |g_x|^3 and |g_y|^3 each has its share, so that lines nearly along it hardly count (Veach and Guibas
+    # 1995, the power heuristic); scaled, so that no cube under- or overflows
     most = slope.amax(0)
-    size = most * (slope / most).pow(3).sum(0) / (slope[brackets.axis] / most).square()
+    size = most * (slope / most).pow(3).sum(0) / (changes.along(slope) / most).square()
     jump = (changes.values[:, 1] - changes.values[:, 0]) * torch.sign(after - before)
-    own = (brackets.segment > 0) & (brackets.segment < last - 1)
-    changed = own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
+    changed = brackets.own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
     flat, leap = changed & changes.flat, changed & changes.leap
     some = (changed & ~flat & ~leap & size.isfinite()).nonzero()[:, 0]
     col, row = brackets.places(place)
     at = torch.stack(brackets.places(torch.where(high > 0, brackets.high, brackets.low)))
-    weight = 1 / (probability * lines * size)
+    weight = 1 / (probability * brackets.chance * lines * size)
     return (
         col[some],
         row[some],
         jump[:, some],
         weight[some],
         changes.cause[some],
-        changes.branch[some].T,
+        changes.branch[some],
         at[:, some],
         changes.cause[flat],
         changes.cause[leap],
@@ -163,13 +171,16 @@ def margins(function: Function, screen: Screen, elements: Elements) -> Tensor:
 
 
 def _margins(cause: Tensor, branch: Tensor) -> Callable[[], Margins]:
-    return lambda: Margins(cause, branch)
+    return lambda: Margins(cause, branch, True)
 
 
 def surrogate(function: Function, screen: Screen, elements: Elements, coefficient: Tensor) -> Tensor:
-    """The sum over the elements of coefficient (N,) times margin, a scalar whose backward is the boundary term's."""
+    """A scalar, 0, whose backward is that of the sum over the elements of coefficient (N,) times margin: the boundary term's.
+
+    Its second derivatives raise McaaError.
+    """
     with torch.enable_grad():
-        return (coefficient.to(torch.float64) * margins(function, screen, elements)).sum()
+        return (coefficient.to(torch.float64) * zero_with_gradient(margins(function, screen, elements))).sum()
 
 
 def boundary_term(
@@ -204,7 +215,7 @@ def boundary_term(
 
 def splat(elements: Elements, screen: Screen, filter: Filter) -> tuple[Tensor, Tensor, Tensor]:
     """(N, P) rows and columns of the pixels around each element, and w there, 0 beyond the screen."""
-    reach = [int(r + 0.5) + 1 for r in filter.radius]
+    reach = [int(min(r, whole) + 0.5) + 1 for r, whole in zip(filter.radius, (screen.width, screen.height), strict=True)]
     over, down = (torch.arange(-r, r + 1, device=elements.col.device) for r in reach)
     cols = (elements.col.floor().long()[:, None, None] + over).expand(-1, len(down), -1).flatten(1)
     rows = (elements.row.floor().long()[:, None, None] + down[:, None]).expand(-1, -1, len(over)).flatten(1)

@@ -87,7 +87,11 @@ def _compare(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | 
     a, b = args[0], _argument(args, kwargs, 1, "other")
     if not (_floating(a) or _floating(b)) or not isinstance(result, Tensor):
         return None
-    return Level(result, lambda: a - b)
+    return Level(result, lambda: _number(a) - _number(b))
+
+
+def _number(value: Any) -> Any:
+    return value.to(torch.int64) if isinstance(value, Tensor) and value.dtype == torch.bool else value
 
 
 def _close(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
@@ -101,7 +105,7 @@ def _fraction(q: Tensor) -> Tensor:
     return q - q.detach().round()
 
 
-def _whole(rounded: Callable[[Tensor], Tensor], shift: float = 0.0) -> Rule:
+def _whole(shift: float = 0.0) -> Rule:
     """Steps of one argument at the integers, or `shift` beside them."""
 
     def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
@@ -109,9 +113,13 @@ def _whole(rounded: Callable[[Tensor], Tensor], shift: float = 0.0) -> Rule:
         if not _floating(a):
             return None
         scale = 10.0 ** _argument(args, kwargs, 1, "decimals", default=0) if shift else 1.0
-        return Level(rounded(a.detach() * scale).to(torch.int64), lambda: _fraction(a * scale + shift))
+        return Level(result if scale == 1 else (result * scale).round(), lambda: _fraction(a * scale + shift))
 
     return rule
+
+
+def _frac(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    return Level(args[0].trunc(), lambda: _fraction(args[0])) if _floating(args[0]) else None
 
 
 def _quotient(rounded: Callable[[Tensor], Tensor] | None, swapped: bool = False) -> Rule:
@@ -129,7 +137,7 @@ def _quotient(rounded: Callable[[Tensor], Tensor] | None, swapped: bool = False)
                 return _pole(b)
             how = torch.floor if mode == "floor" else torch.trunc
         q = a / b
-        return Level(how(q.detach()).to(torch.int64), lambda: _fraction(a / b))
+        return Level(how(q.detach()), lambda: _fraction(a / b))
 
     return rule
 
@@ -144,7 +152,7 @@ def _sign(place: int = 0) -> Rule:
         a = _argument(args, kwargs, place, "other")
         if not _floating(a):
             return None
-        return Level(torch.sign(a.detach()).to(torch.int64), lambda: a)
+        return Level(torch.sign(a.detach()), lambda: a)
 
     return rule
 
@@ -205,9 +213,7 @@ def _angle(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | No
 
 def _tan(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
     a = args[0]
-    return (
-        Level((a.detach() / math.pi + 0.5).floor().to(torch.int64), lambda: _fraction(a / math.pi + 0.5)) if _floating(a) else None
-    )
+    return Level((a.detach() / math.pi + 0.5).floor(), lambda: _fraction(a / math.pi + 0.5)) if _floating(a) else None
 
 
 def _search(boundaries: Tensor, values: Any, result: Any) -> Decision | None:
@@ -248,7 +254,7 @@ def _grid_sample(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decisio
     size = torch.tensor([image.shape[3], image.shape[2]], dtype=grid.dtype, device=grid.device)
     aligned = _argument(args, kwargs, 4, "align_corners", default=False)
     texel = (grid + 1) / 2 * (size - 1) if aligned else ((grid + 1) * size - 1) / 2
-    return Level(texel.detach().round().to(torch.int64), lambda: _fraction(texel + 0.5))
+    return Level(texel.detach().round(), lambda: _fraction(texel + 0.5))
 
 
 def level_set(g: Tensor) -> Tensor:
@@ -289,10 +295,9 @@ _RULES: dict[str, Rule] = {
         _compare,
     ),
     "isclose": _close,
-    "floor": _whole(torch.floor),
-    "ceil": _whole(torch.ceil),
-    "round": _whole(torch.round, 0.5),
-    **dict.fromkeys(("trunc", "fix", "frac"), _whole(torch.trunc)),
+    **dict.fromkeys(("floor", "ceil", "trunc", "fix"), _whole()),
+    "round": _whole(0.5),
+    "frac": _frac,
     **dict.fromkeys(("remainder", "mod", "floordiv", "floor_divide"), _quotient(torch.floor)),
     **dict.fromkeys(("rmod", "rfloordiv"), _quotient(torch.floor, swapped=True)),
     "fmod": _quotient(torch.trunc),

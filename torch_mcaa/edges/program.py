@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +11,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, name_of
-from torch_mcaa.edges.trace import Site, Watch, changed_program
+from torch_mcaa.edges.trace import Site, Watch, changed_program, where
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 
@@ -22,8 +20,6 @@ _COUNTS = 13, 17
 """Two numbers of points: the axis that grows with them is the points'."""
 _POINT, _PARAMETER = 1, 2
 _POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
-_HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
-"""Our code, and PyTorch's."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +53,9 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
     if [(m.name, len(m.shape)) for m in first.met] != [(m.name, len(m.shape)) for m in second.met]:
         raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
     problems = [*first.problems]
-    # a tensor whose size follows the number of points, made by nothing that PyTorch could show
+    # with them, tensors whose size follows the number of points, made by nothing that PyTorch could show
     hidden = [*first.hidden, *(text for place, text in first.strangers.items() if place in second.strangers)]
+    # who declares a jump knows of the code that hides it
     if not any(met.name == "level_set" for met in first.met):
         problems += hidden
     sites = []
@@ -118,13 +115,14 @@ class _Probe(Watch):
         kwargs = kwargs or {}
         self._calls += 1
         given = list(_tensors((args, kwargs)))
+        stranger = bool(given) and id(given[0]) not in self._depends
         depends = 0
         for tensor in given:
             depends |= self._origin(tensor, name_of(func))
         name = getattr(func, "__name__", "")
-        if in_place(func) and name != "requires_grad_" and given and id(given[0]) not in self._depends:
+        if stranger and in_place(func) and name != "requires_grad_":
             self.problems.append(
-                f"{_where()}: {name} changes a tensor in place that f did not make, so that every call finds another one"
+                f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one"
             )
         if name in ESCAPES:
             self._escaped(name, depends)
@@ -136,21 +134,18 @@ class _Probe(Watch):
         return result
 
     def _escaped(self, name: str, depends: int) -> None:
-        if depends & _POINT:
-            what = (
-                "lets Python's control flow depend on the points"
-                if name == "__bool__"
-                else "takes values of the points out of PyTorch"
-            )
-            self.problems.append(f"{_where()}: {name} {what}")
+        if depends & _POINT and name == "__bool__":
+            self.problems.append(f"{where()}: {name} lets Python's control flow depend on the points")
+        elif depends & _POINT:
+            self.hidden.append(f"{where()}: {name} takes values of the points out of PyTorch")
         elif depends & _PARAMETER:
-            self.problems.append(f"{_where()}: {name} takes a parameter's value out of PyTorch, and its gradient is lost")
+            self.hidden.append(f"{where()}: {name} takes a parameter's value out of PyTorch, and its gradient is lost")
 
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
         wrapped = torch._C._functorch.is_functorch_wrapped_tensor(codes)  # pyright: ignore[reportAttributeAccessIssue]
-        self.met.append(_Met(func.__name__, _where(), tuple(codes.shape), dim, self._now, wrapped))
+        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, wrapped))
 
     def _note(self, tensor: Tensor, depends: int) -> None:
         self._depends[id(tensor)] = self._depends.get(id(tensor), 0) | depends
@@ -166,11 +161,13 @@ class _Probe(Watch):
         if tensor.grad_fn is not None and _reaches(tensor, self._leaves):
             depends |= _POINT
             self.hidden.append(
-                f"{_where()}: {user} takes a tensor from code that the trace cannot see (scripted, compiled, or a kernel)"
+                f"{where()}: {user} takes a tensor from code that the trace cannot see (scripted, compiled, or a kernel)"
             )
-        elif not tensor.requires_grad and self.points in tensor.shape:
-            place = (self._calls, tensor.ndim)
-            self.strangers[place] = f"{_where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
+        elif not tensor.requires_grad:
+            for axis, size in enumerate(tensor.shape):
+                if size == self.points:
+                    text = f"{where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
+                    self.strangers[self._calls, axis] = text
         self._alive.append(tensor)
         self._depends[id(tensor)] = depends
         return depends
@@ -198,14 +195,3 @@ def _reaches(tensor: Tensor, leaves: Sequence[Tensor]) -> bool:
             return True
         stack.extend(parent for parent, _ in node.next_functions)
     return False
-
-
-def _where() -> str:
-    """file:line of the innermost frame of code that is neither PyTorch's nor ours."""
-    frame = sys._getframe(1)
-    while frame is not None:
-        name = frame.f_code.co_filename
-        if not name.startswith(_HOMES) and not name.startswith("<"):
-            return f"{name}:{frame.f_lineno}"
-        frame = frame.f_back
-    return "(no line of Python)"

@@ -1,4 +1,4 @@
-"""From segments in which f decides differently to where it does, by the margins where they lead there, by halving where not."""
+"""From segments in which f decides differently to where it does, by the margins where they lead there, by bisection where not."""
 
 from __future__ import annotations
 
@@ -48,8 +48,12 @@ class Changes:
     @property
     def leap(self) -> Tensor:
         """bool (N,): margins that change far more than their slopes explain, so that they are not continuous, or nearly steps."""
-        along = self.slope[self.brackets.axis].abs().amax(0) * (self.brackets.high - self.brackets.low)
+        along = self.along(self.slope).abs().amax(0) * (self.brackets.high - self.brackets.low)
         return ~self.flat & ((self.margin[1] - self.margin[0]).abs() > _TIMES * along)
+
+    def along(self, slope: Tensor) -> Tensor:
+        """What belongs to the bracket's own axis, of (2, ..., N): one for columns, one for rows."""
+        return torch.where(self.brackets.axis == 0, slope[0], slope[1])
 
     def take(self, index: Tensor) -> Changes:
         """Those at `index`, integers or bool."""
@@ -64,12 +68,13 @@ class Changes:
         )
 
 
-def refine(asked: Asked, found: Segments) -> Changes:
+def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
     """All changes in segments between whose ends the signatures differ.
 
     The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
-    foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are halved, and
-    both halves kept where they differ: margins that lead astray cost evaluations, no accuracy.
+    foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
+    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than `most` that are quartered at once,
+    as where f is noise, so many are kept at random, and count for the others.
     """
     segments = found.brackets
     first = _straight(segments, found.margin)
@@ -94,23 +99,25 @@ def refine(asked: Asked, found: Segments) -> Changes:
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _halved(asked, joined(rest), _NARROW))
+    halved = _examined(asked, _quartered(asked, joined(rest), _NARROW, most, seed))
     changes = _joined([tried.take(hit), halved])
     # the margin may saturate a little beside the edge
     astray = changes.flat | changes.leap
-    closer = _examined(asked, _halved(asked, changes.brackets.take(astray), _NARROWEST))
+    closer = _examined(asked, _quartered(asked, changes.brackets.take(astray), _NARROWEST, most, seed))
     return _joined([changes.take(~astray), closer])
 
 
-def _halved(asked: Asked, brackets: Brackets, width: float) -> Brackets:
+def _quartered(asked: Asked, brackets: Brackets, width: float, most: int, seed: int) -> Brackets:
     """All changes in them, in brackets no wider than `width`."""
-    done = []
+    done, share = [], torch.tensor([[0.25], [0.5], [0.75]], dtype=torch.float64, device=asked.device)
     while len(brackets):
         narrow = brackets.high - brackets.low <= width
         done.append(brackets.take(narrow))
-        brackets = brackets.take(~narrow)
-        middle = (brackets.low + brackets.high) / 2
-        brackets = brackets.split(middle[None], asked.signatures(*brackets.places(middle))[None])
+        brackets = brackets.take(~narrow).thinned(most, seed)
+        places = torch.lerp(brackets.low, brackets.high, share)
+        col, row = brackets.places(places)
+        signatures = asked.signatures(col.flatten(), row.flatten()).view(places.shape)
+        brackets = brackets.split(places, signatures)
     return joined([*done, brackets])
 
 
@@ -135,7 +142,7 @@ def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor
     for start in range(0, len(place), AT_ONCE):
         part = slice(start, start + AT_ONCE)
         cause, branch = segments.cause[part], segments.branch[part]
-        _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b))
+        _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b, False))
         found.append((seen.signatures(len(cause)), seen.total.detach()))
     if not found:
         return segments.brackets.before, place
@@ -153,10 +160,9 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
             none = part.low.new_zeros
             whole = part.line.new_zeros
             return Changes(part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0))
-        first = torch.arange(count, device=asked.device)
         with torch.enable_grad():
             col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
-            values, seen = asked.run(col, row, lambda f=first: Causes(f, f + len(f), True))
+            values, seen = asked.run(col, row, lambda c=count: Causes((2, c), 0, True, asked.device))
             slope = _slopes(seen.total, col, row)
         parts.append(
             Changes(

@@ -11,37 +11,40 @@ from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
 from torch_mcaa.edges.trace import Causes
 
-_SCAN = 0x5CA2
+_SCAN, _THINNED = 0x5CA2, 0x7417
 _GROUP = 4
 """The most changes that are looked at as one thin piece."""
 
 
 @dataclass(frozen=True)
 class Brackets:
-    """Pieces of lines along one axis (0: along x), between whose ends f decides differently.
+    """Pieces of lines between whose ends f decides differently.
 
     Attributes:
+        axis: (N,) int64, that of the lines: 0 along x, 1 along y.
         across: (N,) the line's coordinate on the other axis, in px.
         low, high: (N,) the ends, in px.
         before, after: (N,) int64 signatures there.
-        line, segment: (N,) int64, which line of the scan, and which segment on it.
+        line: (N,) int64, which line of the scan; own: (N,) bool, whether it is the rectangle's, or tells of those that are.
+        chance: (N,) the probability with which it was kept where there were too many.
     """
 
-    axis: int
+    axis: Tensor
     across: Tensor
     low: Tensor
     high: Tensor
     before: Tensor
     after: Tensor
     line: Tensor
-    segment: Tensor
+    own: Tensor
+    chance: Tensor
 
     def __len__(self) -> int:
         return len(self.low)
 
     def take(self, index: Tensor) -> Brackets:
         """Those at `index`, integers or bool."""
-        return Brackets(self.axis, *(getattr(self, field.name)[index] for field in fields(self)[1:]))
+        return Brackets(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def split(self, places: Tensor, signatures: Tensor) -> Brackets:
         """The parts that still hold a change when all are cut at K places (K, N), in order, where the signatures are (K, N)."""
@@ -56,15 +59,23 @@ class Brackets:
             after=codes[part + 1, which],
         )
 
+    def thinned(self, most: int, seed: int) -> Brackets:
+        """`most` of them at random, if there are more."""
+        if len(self) <= most:
+            return self
+        number = rng.bits(seed, _THINNED, (self.low * 2**20).long(), self.axis, (self.across * 2**20).long())
+        kept = self.take(torch.argsort(number, stable=True)[:most])
+        return replace(kept, chance=kept.chance * (most / len(self)))
+
     def places(self, along: Tensor) -> tuple[Tensor, Tensor]:
         """Columns and rows of places (..., N) on the lines."""
         across = self.across.expand_as(along)
-        return (along, across) if self.axis == 0 else (across, along)
+        return torch.where(self.axis == 0, along, across), torch.where(self.axis == 0, across, along)
 
 
 def joined(parts: list[Brackets]) -> Brackets:
-    """All the brackets of parts along one axis."""
-    return Brackets(parts[0].axis, *(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(parts[0])[1:]))
+    """All the brackets of the parts."""
+    return Brackets(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(parts[0])))
 
 
 @dataclass(frozen=True)
@@ -80,57 +91,57 @@ class Segments:
     margin: Tensor
 
 
-def scan(
-    asked: Asked, axis: int, along: tuple[int, int], across: tuple[int, int], lines: int, seed: int, limits: tuple[float, float]
-) -> tuple[Segments, int]:
-    """The segments of 1 px that begin in the pixels [along[0], along[1]) and hold a change, on `lines` lines in each pixel of `across`.
+def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int, seed: int, closed: bool) -> Segments:
+    """The segments of 1 px that begin in the pixels of a rectangle and hold a change, on `lines` lines a pixel along either axis.
 
     The lines are 1 / lines px apart, from one random place for the whole screen; each is cut into segments at a random phase of its own.
-    Whatever the rectangle, what is found in a pixel is the same. With them come those beside them that begin just outside, which tell how
-    thin a piece at the end is: segments 0, and the last, whose number is returned.
-
-    limits: f is not asked outside them, along the lines.
+    Whatever the rectangle, what is found in a pixel is the same. With them come those beside them that begin just outside, not `own`,
+    which tell how thin a piece at the end is. Of a `closed` screen nothing is asked beyond.
     """
-    device = asked.device
-    pixel = torch.arange(across[0], across[1]).repeat_interleave(lines)
-    number = torch.arange(lines).repeat(across[1] - across[0])
-    shift = rng.uniform(seed, _SCAN, axis, dtype=torch.float64)
-    lie = (pixel + (number + shift) / lines).to(device)
-    phase = rng.uniform(seed, _SCAN, axis, pixel, number, dtype=torch.float64).to(device)
-    start = torch.arange(along[0] - 1, along[1] + 2, device=device)
-    found = []
-    size = max(1, AT_ONCE // len(start))
-    for begin in range(0, len(lie), size):
-        found.append(_differing(asked, axis, lie[begin : begin + size], phase[begin : begin + size], begin, start, limits))
-    brackets = joined([f.brackets for f in found])
+    found, count = [], 0
+    for axis, along, across in ((0, cols, rows), (1, rows, cols)):
+        size = (asked.screen.width, asked.screen.height)
+        if closed:
+            across = max(across[0], 0), min(across[1], size[1 - axis])
+        pixel = torch.arange(*across).repeat_interleave(lines)
+        number = torch.arange(lines).repeat(across[1] - across[0])
+        shift = rng.uniform(seed, _SCAN, axis, dtype=torch.float64)
+        lie = (pixel + (number + shift) / lines).to(asked.device)
+        phase = rng.uniform(seed, _SCAN, axis, pixel, number, dtype=torch.float64).to(asked.device)
+        start = torch.arange(along[0] - 1, along[1] + 2, device=asked.device)
+        many = max(1, AT_ONCE // len(start))
+        for begin in range(0, len(lie), many):
+            part = slice(begin, begin + many)
+            place = start + phase[part, None]
+            if closed:
+                place = place.clamp(0, size[axis] * (1 - 2.0**-50))
+            found.append(_differing(asked, axis, lie[part], place, count + begin))
+        count += len(lie)
     cause, branch = (torch.cat(parts) for parts in ([f.cause for f in found], [f.branch for f in found]))
-    return Segments(brackets, cause, branch, torch.cat([f.margin for f in found], 1)), len(start) - 2
+    return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1))
 
 
-def _differing(
-    asked: Asked, axis: int, lie: Tensor, phase: Tensor, begin: int, start: Tensor, limits: tuple[float, float]
-) -> Segments:
-    """The segments between neighbours among the places start + phase of each line that differ."""
-    place = (start + phase[:, None]).clamp(*limits)
+def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) -> Segments:
+    """The segments that differ between neighbours among the places (lines, K) of each line."""
     level = lie[:, None].expand_as(place)
     col, row = (place, level) if axis == 0 else (level, place)
-    index = torch.arange(place.numel(), device=asked.device).view(place.shape)
-    first, second = index[:, :-1].flatten(), index[:, 1:].flatten()
-    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(first, second, False))
+    shape = (len(place), place.shape[1])
+    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device))
     signature = seen.signatures(place.numel()).view(place.shape)
     differs = signature[:, 1:] != signature[:, :-1]
     differs[:, 0] &= differs[:, 1]
     differs[:, -1] &= differs[:, -2]
     line, segment = differs.nonzero().unbind(1)
     brackets = Brackets(
-        axis,
+        torch.full_like(line, axis),
         lie[line],
         place[line, segment],
         place[line, segment + 1],
         signature[line, segment],
         signature[line, segment + 1],
-        line + begin,
-        segment,
+        line + line0,
+        (segment > 0) & (segment < shape[1] - 2),
+        torch.ones_like(lie[line]),
     )
     chosen = differs.flatten()
     return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen])

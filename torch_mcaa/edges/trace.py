@@ -7,6 +7,9 @@ continuous there, so that its margin is, and crosses zero.
 
 from __future__ import annotations
 
+import functools
+import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +23,8 @@ from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, rule
 from torch_mcaa.errors import McaaError
 
 _LANE = 0x1A9E
+_HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
+"""Our code, and PyTorch's."""
 Visit = Callable[[int, Decision], None]
 
 
@@ -51,10 +56,10 @@ class Watch(TorchFunctionMode):
                 # an array of a tensor with a gradient is refused, and f may never have been given one
                 args = [args[0].detach(), *args[1:]]
             return func(*args, **kwargs)
-        given = args
+        given = args if args else [kwargs["input"]] if "input" in kwargs else []
         if in_place(func) or "out" in kwargs:
             # the margin is of what was there before
-            given = [a.clone() if isinstance(a, Tensor) else a for a in args]
+            given = [a.clone() if isinstance(a, Tensor) else a for a in given]
         result = func(*args, **kwargs)
         decision = rule(given, kwargs, result)
         if decision is not None:
@@ -92,7 +97,7 @@ class Traced:
         site = self.sites[number] if number < len(self.sites) else None
         name = func.__name__
         if site is None or site.name != name:
-            self.changed = f"{name} where there had been {'nothing' if site is None else f'{site.name} ({site.where})'}"
+            self.changed = f"{name} ({where()}) where there had been {'nothing' if site is None else f'{site.name} ({site.where})'}"
         elif site.axis is not None:
             if decision.codes.shape[site.axis] != self.points:
                 self.changed = f"{name} on {tuple(decision.codes.shape)} for {self.points} points ({site.where})"
@@ -107,14 +112,14 @@ class Lanes:
         self.decision, self.axis = decision, axis
 
     def codes(self) -> Tensor:
-        """(points, lanes) int64."""
-        return self._by_point(self.decision.codes).to(torch.int64)
+        """(points, lanes) bool, or whole numbers of any type."""
+        return self._by_point(self.decision.codes)
 
-    def margin(self, point: Tensor, branch: Tensor) -> Tensor:
-        """(M,): the margin at points (M,) for `branch` (M, 3), the lane and the two codes between which it lies; with a graph."""
+    def margin(self, point: Tensor, branch: Tensor, graph: bool) -> Tensor:
+        """(M,): the margin at points (M,) for `branch` (M, 3), the lane and the two codes between which it lies."""
         lane, low, high = branch.unbind(1)
         decision = self.decision
-        with torch.enable_grad():
+        with torch.set_grad_enabled(graph):
             if isinstance(decision, Choice):
                 # of as many groups as there are lanes over choices in a lane
                 values = self._by_point(decision.values.movedim(decision.dim, -1), self._chosen_axis(), 1)
@@ -136,61 +141,82 @@ class Lanes:
 class Signatures:
     """A visitor: one int64 a point, equal where all decisions are."""
 
-    def __init__(self) -> None:
+    def __init__(self, device: torch.device) -> None:
+        self.device = device
         self._sum: Tensor | None = None
 
     def signatures(self, count: int) -> Tensor:
         """(count,): of the first points."""
-        return torch.zeros(count, dtype=torch.int64) if self._sum is None else self._sum[:count]
+        return torch.zeros(count, dtype=torch.int64, device=self.device) if self._sum is None else self._sum[:count]
 
     def __call__(self, number: int, lanes: Lanes) -> None:
-        codes = lanes.codes()
-        # a sum of the codes times random numbers, modulo 2^64
-        lane = torch.arange(codes.shape[1], device=codes.device)
-        factor = (rng.bits(_LANE, number, 0, lane) << 32) + rng.bits(_LANE, number, 1, lane)
-        part = codes[:, 0] * factor[0] if len(factor) == 1 else (codes * factor).sum(1)
-        self._sum = part if self._sum is None else self._sum.add_(part)
+        self.add(number, lanes.codes())
+
+    def add(self, number: int, codes: Tensor) -> None:
+        """The sum of the codes times random numbers, modulo 2^64."""
+        if self._sum is None:
+            self._sum = torch.zeros(len(codes), dtype=torch.int64, device=codes.device)
+        if codes.is_floating_point():
+            codes = codes.to(torch.int64)
+        for lane, code in enumerate(codes.unbind(1)):
+            self._sum.add_(code, alpha=_factor(number, lane))
+
+
+@functools.cache
+def _factor(number: int, lane: int) -> int:
+    """A random odd number of 64 bits, with a sign."""
+    low, high = (int(rng.bits(_LANE, number, lane, half)) for half in (0, 1))
+    return ((high << 32 | low | 1) + (1 << 63)) % (1 << 64) - (1 << 63)
 
 
 class Causes(Signatures):
-    """A visitor: the first decision in which the points `first` and `second` (n,) differ.
+    """A visitor: the first decision in which neighbours differ, of points (R, K) laid out in one row: the pairs along `axis`, n of them.
 
     Attributes:
         cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
         margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
     """
 
-    def __init__(self, first: Tensor, second: Tensor, sloped: bool) -> None:
-        super().__init__()
-        self.sloped = sloped
-        self.first, self.second = first, second
-        self.cause = torch.full_like(first, -1)
-        self.branch = first.new_zeros(len(first), 3)
-        self.margin = torch.zeros(2, len(first), dtype=torch.float64, device=first.device)
+    def __init__(self, shape: tuple[int, int], axis: int, sloped: bool, device: torch.device) -> None:
+        super().__init__(device)
+        self.shape, self.axis, self.sloped = shape, axis, sloped
+        rows, columns = shape
+        self.pairs = (rows - 1) * columns if axis == 0 else rows * (columns - 1)
+        self.cause = torch.full((self.pairs,), -1, dtype=torch.int64, device=device)
+        self.branch = self.cause.new_zeros(self.pairs, 3)
+        self.margin = torch.zeros(2, self.pairs, dtype=torch.float64, device=device)
         self.total: Tensor | None = None
 
     def __call__(self, number: int, lanes: Lanes) -> None:
-        super().__call__(number, lanes)
         codes = lanes.codes()
-        differs = codes[self.first] != codes[self.second]
-        new = (differs.any(1) & (self.cause < 0)).nonzero()[:, 0]
+        self.add(number, codes)
+        laid = codes[: self.shape[0] * self.shape[1]].view(*self.shape, -1)
+        size = self.shape[self.axis] - 1
+        differs = (laid.narrow(self.axis, 0, size) != laid.narrow(self.axis, 1, size)).view(self.pairs, -1)
+        # most points change nowhere: few operations on all of them
+        new = (differs[:, 0] if differs.shape[1] == 1 else differs.any(1)).nonzero()[:, 0]
+        new = new[self.cause[new] < 0]
         if len(new) == 0:
             return
-        lane, first, second = differs[new].to(torch.int8).argmax(1), self.first[new], self.second[new]
+        first = new if self.axis == 0 else new + new // size
+        second = first + (self.shape[1] if self.axis == 0 else 1)
+        lane = differs[new].to(torch.int8).argmax(1)
         self.cause[new] = number
-        branch = self.branch[new] = torch.stack([lane, codes[first, lane], codes[second, lane]], 1)
-        margin = lanes.margin(torch.cat([first, second]), branch.repeat(2, 1))
+        branch = self.branch[new] = torch.stack([lane, codes[first, lane].long(), codes[second, lane].long()], 1)
+        margin = lanes.margin(torch.cat([first, second]), branch.repeat(2, 1), self.sloped)
         self.margin[:, new] = margin.detach().to(torch.float64).view(2, -1)
         if self.sloped:
+            # f may run this part of it under no_grad
             with torch.enable_grad():
                 self.total = margin.sum() if self.total is None else self.total + margin.sum()
 
 
 class Margins(Signatures):
-    """A visitor: the margins `total` (N,) of the points' own causes, with a graph, and the signatures."""
+    """A visitor: the margins `total` (N,) of the points' own causes, and the signatures."""
 
-    def __init__(self, cause: Tensor, branch: Tensor) -> None:
-        super().__init__()
+    def __init__(self, cause: Tensor, branch: Tensor, graph: bool) -> None:
+        super().__init__(cause.device)
+        self.graph = graph
         self.cause, self.branch = cause, branch
         self.wanted = set(cause.unique().tolist())
         self.total = torch.zeros(len(cause), dtype=torch.float64, device=cause.device)
@@ -199,9 +225,8 @@ class Margins(Signatures):
         super().__call__(number, lanes)
         if number in self.wanted:
             point = (self.cause == number).nonzero()[:, 0]
-            margin = lanes.margin(point, self.branch[point]).to(torch.float64)
-            # f may run this part of it under no_grad
-            with torch.enable_grad():
+            with torch.set_grad_enabled(self.graph):
+                margin = lanes.margin(point, self.branch[point], self.graph).to(torch.float64)
                 self.total = self.total.index_add(0, point, margin)
 
 
@@ -210,3 +235,14 @@ def changed_program(what: str) -> McaaError:
         f"f took other decisions than before: {what}; its Python control flow depends on values: write it with torch.where, "
         "so that every call runs the same operations"
     )
+
+
+def where() -> str:
+    """file:line of the innermost frame of code that is neither PyTorch's nor ours."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if not name.startswith(_HOMES) and not name.startswith("<"):
+            return f"{name}:{frame.f_lineno}"
+        frame = frame.f_back
+    return "(no line of Python)"

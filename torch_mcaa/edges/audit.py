@@ -1,0 +1,189 @@
+"""Does f jump where no decision was seen? Bisection on values where the signatures agree."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.asked import Asked
+from torch_mcaa.edges.boundary import elements
+from torch_mcaa.edges.program import Program, probe
+from torch_mcaa.errors import McaaError
+from torch_mcaa.filters import Box
+from torch_mcaa.grid import Screen
+from torch_mcaa.integrand import Function
+
+_AUDIT = 0xA0D17
+_STEPS = 36
+_SAME = 0.5
+"""What share of a change must be left when its bracket is 2^-18 of what it was: of a jump all, of a slope 2^-18."""
+_ROUNDING, _PART = 1e-5, 1e-3
+"""What is no change, in magnitudes of f, and no jump, in changes over the whole piece: rounding, in code that computes in float32."""
+_CELL = 64
+_MOST = 1 << 16
+"""Segments looked at."""
+_FOLLOWED = 1024
+_NAMED = 8
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A jump that no decision explains: screen column and row in pixels, f's x and y there, and its size (of the largest channel)."""
+
+    col: float
+    row: float
+    x: float
+    y: float
+    size: float
+
+
+@dataclass(frozen=True)
+class Discontinuities:
+    """What `check_discontinuities` found; `str` of it is a report.
+
+    Attributes:
+        decisions: (file:line, operation, jumps met on lines across the screen) for every decision of f.
+        jumps: those that no decision explains.
+        problems: sentences about what the trace cannot follow.
+        probes: how many pieces of lines were looked at, and followed.
+        random: f gave two values for one point: it is random, or mixes the points that it is asked for at once.
+    """
+
+    decisions: tuple[tuple[str, str, int], ...]
+    jumps: tuple[Jump, ...]
+    problems: tuple[str, ...]
+    probes: tuple[int, int]
+    random: bool
+
+    @property
+    def ok(self) -> bool:
+        """Every jump that was met is one that gradients can follow."""
+        return not (self.jumps or self.problems or self.random)
+
+    def __str__(self) -> str:
+        lines = [f"decisions of f ({len(self.decisions)}), and the jumps that lines across the screen met there:"]
+        lines += [f"  {where}  {name}: {count or 'none'}" for where, name, count in self.decisions] or ["  none"]
+        if self.random:
+            lines.append(
+                "f is random, or mixes the points it is asked for: it gave two values for one point, so that nothing else can be said"
+            )
+        if self.problems:
+            lines += ["what the trace cannot follow:", *(f"  {problem}" for problem in self.problems)]
+        if self.jumps:
+            lines.append(f"jumps that no decision explains ({len(self.jumps)} of {self.probes[1]} places that were followed):")
+            lines += [
+                f"  at column {j.col:.3f}, row {j.row:.3f} (x = {j.x:.6g}, y = {j.y:.6g}): {j.size:.3g}"
+                for j in self.jumps[:_NAMED]
+            ]
+            if len(self.jumps) > _NAMED:
+                lines.append(f"  and {len(self.jumps) - _NAMED} more")
+            lines.append(
+                "  their gradients are missing: declare the jump inside f with torch_mcaa.level_set(g), g crossing zero there"
+            )
+        elif not self.random:
+            lines.append(f"no other jump in {self.probes[0]} pieces of lines")
+        return "\n".join(lines)
+
+
+def check_discontinuities(
+    f: Function,
+    size: tuple[int, int],
+    *,
+    extent: tuple[float, float, float, float] | None = None,
+    seed: int = 0,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str | None = None,
+) -> Discontinuities:
+    """Where does f jump, which lines of its code decide that, and does it jump anywhere else, where no gradient follows?
+
+    >>> import torch
+    >>> radius = torch.tensor(5.0, requires_grad=True)
+    >>> report = check_discontinuities(lambda x, y: (torch.hypot(x - 8, y - 8) < radius).float(), (16, 16))
+    >>> report.ok, len(report.decisions), report.decisions[0][1]
+    (True, 1, 'lt')
+
+    Args:
+        f, size, extent, seed, dtype, device: as for `render`.
+
+    Raises:
+        McaaError: f breaks its contract, or its Python control flow depends on values.
+    """
+    screen, placed = Screen.of(size, extent), torch.device("cpu" if device is None else device)
+    if not callable(f):
+        raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}")
+    program = probe(f, screen, dtype, placed)
+    counts: Counter[int] = Counter()
+    problems = dict.fromkeys(program.problems)
+    for cell in screen.cells(_CELL, _CELL):
+        met = elements(f, screen, cell, Box(), seed, 1, closed=True, program=program, dtype=dtype, device=placed)
+        counts.update(met.cause.tolist())
+        problems.update(dict.fromkeys(met.problems))
+    jumps, probes, random = untraced(
+        f, screen, program, seed, dtype, placed, min(_MOST, 2 * screen.height * screen.width), _FOLLOWED
+    )
+    decisions = tuple((site.where, site.name, counts[number]) for number, site in enumerate(program.sites))
+    return Discontinuities(decisions, jumps, tuple(problems), probes, random)
+
+
+@torch.no_grad()
+def untraced(
+    function: Function,
+    screen: Screen,
+    program: Program,
+    seed: int,
+    dtype: torch.dtype,
+    device: torch.device,
+    looked: int,
+    followed: int,
+) -> tuple[tuple[Jump, ...], tuple[int, int], bool]:
+    """The jumps on `looked` random pieces of lines of up to 1 px, of which the `followed` that change most beside others are bisected.
+
+    A piece counts only while its ends, and all places asked between them, have one signature. With the jumps come the numbers of pieces
+    that were looked at and followed, and whether f is random.
+    """
+    asked = Asked(function, screen, program, dtype, device, None)
+    index = torch.arange(looked, device=device)
+    across, along, axis = (rng.uniform(seed, _AUDIT, k, index, dtype=torch.float64) for k in range(3))
+    col, row = across * screen.width, along * screen.height
+    flat = (axis < 0.5).to(torch.float64)
+    over, down = flat * min(1, screen.width / 2), (1 - flat) * min(1, screen.height / 2)
+    col, row = torch.minimum(col, screen.width - over), torch.minimum(row, screen.height - down)
+
+    def ask(at: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
+        return asked.values(col[number] + at * over[number], row[number] + at * down[number])
+
+    one = torch.ones_like(col)
+    before, first = ask(0 * one, index)
+    again, _ = ask(0 * one[:16], index[:16])
+    if not torch.equal(again, before[:, :16]):
+        return (), (looked, 0), True
+    after, last = ask(one, index)
+    size = (after - before).abs().amax(0)
+    noticed = size.masked_fill((first != last) | (size <= _ROUNDING * before.abs().amax()), 0)
+    number = torch.argsort(noticed, descending=True)[: min(followed, int(noticed.count_nonzero()))]
+    count = len(number)
+    low, high = 0 * one[number], one[number]
+    before, after, first = before[:, number], after[:, number], first[number]
+    middle = size[number]
+    for step in range(_STEPS):
+        if step == _STEPS // 2:
+            middle = (after - before).abs().amax(0)
+        half = (low + high) / 2
+        there, signature = ask(half, number)
+        left = (there - before).abs().amax(0) >= (after - there).abs().amax(0)
+        low, high = torch.where(left, low, half), torch.where(left, half, high)
+        before, after = torch.where(left, before, there), torch.where(left, there, after)
+        some = (signature == first).nonzero()[:, 0]
+        low, high, before, after, first, number, middle = (t[..., some] for t in (low, high, before, after, first, number, middle))
+    size = (after - before).abs().amax(0)
+    left = size > torch.maximum(_SAME * middle, _PART * noticed[number])
+    number, high, size = (t[left] for t in (number, high, size))
+    cols, rows = col[number] + high * over[number], row[number] + high * down[number]
+    x, y = screen.x_of(cols), screen.y_of(rows)
+    order = torch.argsort(size, descending=True)
+    found = (Jump(*(float(t[k]) for t in (cols, rows, x, y, size))) for k in order.tolist())
+    return tuple(found), (looked, count), False
