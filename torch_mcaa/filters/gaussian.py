@@ -77,7 +77,7 @@ class Gaussian(SeparableFilter):
         return torch.where(d.abs() <= self.half_width, density, 0)
 
     def _learned_profile(self, d: Tensor) -> Tensor:
-        """The same with a gradient with respect to the standard deviation; its truncation moves with it and gives none."""
+        """The same with a gradient with respect to the standard deviation; its truncation moves with it and counts nothing (1e-4 at 5 std)."""
         std = self.learned[0].to(d).reshape(())
         kept = self._kept if self._radius is None else torch.erf(self._radius / (std * math.sqrt(2)))
         density = torch.exp(-0.5 * (d / std) ** 2) / (std * math.sqrt(2 * math.pi) * kept)
