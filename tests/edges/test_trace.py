@@ -155,3 +155,11 @@ def test_other_decisions_in_another_call_are_an_error_with_the_line(later: bool)
     asked = Asked(f, SCREEN, program_of(f), torch.float64, CPU, None)
     with pytest.raises(McaaError, match=r"other decisions than before.*torch\.where"):
         asked.signatures(row(-1.0, 2.0), row(1.0, 1.0))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_compiled_code_is_seen_through() -> None:
+    compiled = torch.compile(lambda x: x > 3, backend="eager")
+    compiled(row(1.0))
+    found = causes(lambda x, y: compiled(x).double(), [2.9], [3.1])
+    assert found.cause.tolist() == [0] and torch.allclose(found.margin[:, 0], row(-0.1, 0.1))

@@ -9,6 +9,7 @@ n |n_x| dl by those along x, n |n_y| dl by those along y.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -30,7 +31,7 @@ LINES = 3
 _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
-"""At least so many brackets, and two a pixel, are quartered at once."""
+"""At least so many segments, and four a pixel, are followed."""
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -98,14 +99,10 @@ def elements(
     device = torch.device("cpu") if device is None else device
     program = program or probe(function, screen, dtype, device)
     asked = Asked(function, screen, program, dtype, device, tally)
-    spans = [
-        _span(first, size, whole, reach, closed)
-        for first, size, whole, reach in zip(
-            (cell.col, cell.row), (cell.width, cell.height), (screen.width, screen.height), filter.radius, strict=True
-        )
-    ]
-    most = _FEWEST + 2 * cell.height * cell.width
-    changes = refine(asked, scan(asked, *spans, lines, seed, closed), most, seed)
+    cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
+    rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
+    most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
+    changes = refine(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
     col, row, jump, weight, cause, branch, at, flat, leap = _weighed(changes, lines)
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
@@ -113,9 +110,9 @@ def elements(
 
 
 def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
-    """The pixels along one axis in which segments of a cell begin."""
-    beyond = 1 if closed else int(reach + 0.5) + 1
-    return first - beyond * (first == 0), first + size + beyond * (first + size == whole) * (not closed)
+    """The pixels along one axis that a cell answers for: at the border of an open screen those beyond that the filter reaches too."""
+    beyond = 0 if closed else math.ceil(max(0.0, reach - 0.5))
+    return first - beyond * (first == 0), first + size + beyond * (first + size == whole)
 
 
 def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, name_of
-from torch_mcaa.edges.trace import Site, Watch, changed_program, where
+from torch_mcaa.edges.trace import Site, Watch, changed_program, eagerly, where
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 
@@ -104,7 +104,7 @@ class _Probe(Watch):
             for tensor in (x, y):
                 self._note(tensor, _POINT)
             try:
-                with self:
+                with eagerly(), self:
                     returned = function(x, y)
             except Exception as error:
                 raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {self.points} points") from error

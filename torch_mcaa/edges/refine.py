@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
 from torch_mcaa.edges.scan import Brackets, Segments, joined
 from torch_mcaa.edges.trace import Causes, Margins
@@ -15,6 +16,12 @@ _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
 _NARROWEST = 2.0**-26
 """Px: of those where the margin looks like a step."""
+_FREQUENT, _TRIED, _KEPT = 256, 32, 16
+_SMOOTH = 0.02
+"""A jump is at least so much of what f changes by in segments of 1 px."""
+_WORTH = 0x3057
+_DEARER = 4
+"""Of the segments that may be followed, one in so many may be quartered at once, which costs most."""
 _TIMES = 100
 """A margin that changes so many times more than its slope explains is not continuous."""
 
@@ -73,9 +80,38 @@ def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
 
     The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
     foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
-    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than `most` that are quartered at once,
-    as where f is noise, so many are kept at random, and count for the others.
+    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more segments than `most`, and of more than
+    a quarter of that at once, as where f is noise, so many are kept at random, and count for the others.
     """
+    found = _worthwhile(asked, found, most, seed)
+    if len(found.cause) > most:
+        found = found.take(torch.argsort(found.brackets.numbers(seed), stable=True)[:most], most / len(found.cause))
+    return _refined(asked, found, most, seed)
+
+
+def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
+    """Fewer of the segments whose cause does not seem to make f jump, such as the texels' borders of a bilinear texture.
+
+    Some of each frequent cause are tried; if f changes no more across their edges than it does smoothly, one of 16 is kept.
+    """
+    number, chance = found.brackets.numbers(seed), torch.ones_like(found.change)
+    order = torch.argsort(number, stable=True)
+    frequent = (torch.bincount(found.cause.clamp_min(0), minlength=1) > _FREQUENT).nonzero()[:, 0].tolist()
+    if frequent:
+        tried = found.take(torch.cat([order[found.cause[order] == cause][:_TRIED] for cause in frequent]))
+        changes = _refined(asked, tried, most, seed)
+        jump = (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0)
+        for cause in frequent:
+            met = jump[changes.cause == cause]
+            if len(met) and float(met.max()) < _SMOOTH * float(tried.change[tried.cause == cause].max()):
+                chance[found.cause == cause] = 1 / _KEPT
+    # another random number than that which chose those tried
+    kept = rng.uniform(seed, _WORTH, number, dtype=torch.float64) < chance
+    return found.take(kept, chance[kept])
+
+
+def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
+    """All changes in the segments."""
     segments = found.brackets
     first = _straight(segments, found.margin)
     signature, margin = _at(asked, found, first)
@@ -109,6 +145,7 @@ def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
 
 def _quartered(asked: Asked, brackets: Brackets, width: float, most: int, seed: int) -> Brackets:
     """All changes in them, in brackets no wider than `width`."""
+    most //= _DEARER
     done, share = [], torch.tensor([[0.25], [0.5], [0.75]], dtype=torch.float64, device=asked.device)
     while len(brackets):
         narrow = brackets.high - brackets.low <= width

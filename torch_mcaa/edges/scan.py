@@ -63,9 +63,12 @@ class Brackets:
         """`most` of them at random, if there are more."""
         if len(self) <= most:
             return self
-        number = rng.bits(seed, _THINNED, (self.low * 2**20).long(), self.axis, (self.across * 2**20).long())
-        kept = self.take(torch.argsort(number, stable=True)[:most])
+        kept = self.take(torch.argsort(self.numbers(seed), stable=True)[:most])
         return replace(kept, chance=kept.chance * (most / len(self)))
+
+    def numbers(self, seed: int) -> Tensor:
+        """(N,) random numbers of their places."""
+        return rng.bits(seed, _THINNED, (self.low * 2**20).long(), self.axis, (self.across * 2**20).long())
 
     def places(self, along: Tensor) -> tuple[Tensor, Tensor]:
         """Columns and rows of places (..., N) on the lines."""
@@ -82,17 +85,31 @@ def joined(parts: list[Brackets]) -> Brackets:
 class Segments:
     """Segments that hold a change, with what is known of the first decision that differs between their ends.
 
-    cause: (N,), branch: (N, 3), margin: (2, N), as in `Causes`.
+    cause: (N,), branch: (N, 3), margin: (2, N), as in `Causes`; change: (N,) how much f differs, in the channel that does most.
     """
 
     brackets: Brackets
     cause: Tensor
     branch: Tensor
     margin: Tensor
+    change: Tensor
+
+    def take(self, index: Tensor, chance: Tensor | float = 1.0) -> Segments:
+        """Those at `index`, integers or bool, that were kept with a probability of `chance`."""
+        kept = self.brackets.take(index)
+        return Segments(
+            replace(kept, chance=kept.chance * chance),
+            self.cause[index],
+            self.branch[index],
+            self.margin[:, index],
+            self.change[index],
+        )
 
 
 def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int, seed: int, closed: bool) -> Segments:
     """The segments of 1 px that begin in the pixels of a rectangle and hold a change, on `lines` lines a pixel along either axis.
+
+    At the screen's first column and row those that end in it come too.
 
     The lines are 1 / lines px apart, from one random place for the whole screen; each is cut into segments at a random phase of its own.
     Whatever the rectangle, what is found in a pixel is the same. With them come those beside them that begin just outside, not `own`,
@@ -101,24 +118,23 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
     found, count = [], 0
     for axis, along, across in ((0, cols, rows), (1, rows, cols)):
         size = (asked.screen.width, asked.screen.height)
-        if closed:
-            across = max(across[0], 0), min(across[1], size[1 - axis])
         pixel = torch.arange(*across).repeat_interleave(lines)
         number = torch.arange(lines).repeat(across[1] - across[0])
         shift = rng.uniform(seed, _SCAN, axis, dtype=torch.float64)
         lie = (pixel + (number + shift) / lines).to(asked.device)
         phase = rng.uniform(seed, _SCAN, axis, pixel, number, dtype=torch.float64).to(asked.device)
-        start = torch.arange(along[0] - 1, along[1] + 2, device=asked.device)
+        begin = along[0] - (along[0] <= 0)
+        start = torch.arange(begin - 1, along[1] + 2, device=asked.device)
         many = max(1, AT_ONCE // len(start))
-        for begin in range(0, len(lie), many):
-            part = slice(begin, begin + many)
+        for first in range(0, len(lie), many):
+            part = slice(first, first + many)
             place = start + phase[part, None]
             if closed:
                 place = place.clamp(0, size[axis] * (1 - 2.0**-50))
-            found.append(_differing(asked, axis, lie[part], place, count + begin))
+            found.append(_differing(asked, axis, lie[part], place, count + first))
         count += len(lie)
-    cause, branch = (torch.cat(parts) for parts in ([f.cause for f in found], [f.branch for f in found]))
-    return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1))
+    cause, branch, change = (torch.cat([getattr(f, name) for f in found]) for name in ("cause", "branch", "change"))
+    return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1), change)
 
 
 def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) -> Segments:
@@ -126,7 +142,7 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
     level = lie[:, None].expand_as(place)
     col, row = (place, level) if axis == 0 else (level, place)
     shape = (len(place), place.shape[1])
-    _, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device))
+    values, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device))
     signature = seen.signatures(place.numel()).view(place.shape)
     differs = signature[:, 1:] != signature[:, :-1]
     differs[:, 0] &= differs[:, 1]
@@ -144,7 +160,9 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
         torch.ones_like(lie[line]),
     )
     chosen = differs.flatten()
-    return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen])
+    low = line * shape[1] + segment
+    change = (values[:, low + 1] - values[:, low]).abs().amax(0)
+    return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen], change)
 
 
 def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor) -> Tensor:

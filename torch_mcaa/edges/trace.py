@@ -11,6 +11,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,7 +85,7 @@ class Traced:
 
     def __call__(self, x: Tensor, y: Tensor) -> Any:
         self.points = len(x)
-        with Watch(self._decided) as watch:
+        with eagerly(), Watch(self._decided) as watch:
             result = self.function(x, y)
         if watch.number != len(self.sites) and self.changed is None:
             last = self.sites[watch.number].where if watch.number < len(self.sites) else "its end"
@@ -228,6 +229,11 @@ class Margins(Signatures):
             with torch.set_grad_enabled(self.graph):
                 margin = lanes.margin(point, self.branch[point], self.graph).to(torch.float64)
                 self.total = self.total.index_add(0, point, margin)
+
+
+def eagerly() -> AbstractContextManager[Any]:
+    """Compiled code runs uncompiled inside, so that its decisions are seen; where nothing is compiled no compiler is imported."""
+    return torch.compiler.set_stance("force_eager") if "torch._dynamo" in sys.modules else nullcontext()
 
 
 def changed_program(what: str) -> McaaError:

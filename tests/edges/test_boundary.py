@@ -1,0 +1,199 @@
+"""The boundary term: 0 in value; in gradient what the samples lack, against closed forms and under every filter."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from gradients import Score, edges, main, score
+from jumping import FILTERED, MORE, SIZE, TABLE, THIN, Case
+from torch import Tensor
+
+import torch_mcaa as mcaa
+from torch_mcaa.edges.boundary import boundary_term, elements, splat, surrogate
+from torch_mcaa.edges.once import zero_with_gradient
+from torch_mcaa.grid import Cell, Screen
+
+SCREEN = Screen.of(SIZE)
+CELL = Cell(0, 0, *SIZE)
+FILTER = mcaa.Gaussian(0.5)
+SEEDS = 24
+ACCURATE = 1e-3
+"""Of the true derivative image: brackets of 2^-10 px, where the seeds' spread is less."""
+
+
+def named(case: Case) -> str:
+    return case.name
+
+
+def scored(case: Case, seeds: int = SEEDS) -> Score:
+    return score(case, seeds)
+
+
+@pytest.mark.parametrize("case", TABLE, ids=named)
+def test_the_bias_is_chance_and_the_deviation_no_more_than_asked(case: Case) -> None:
+    """Lattice shifts are independent from seed to seed. The mean square over pixels of a mean's error over its variance is 1.
+
+    Few pixels matter and they are correlated: 2.2 of the root is over 4.5 standard deviations for one degree of freedom's normal tail at
+    1e-5, and more for several. The deviation, from 24 seeds, may come out a third too large.
+    """
+    s = scored(case)
+    assert s.bias < 4.42 * s.chance + 100 * ACCURATE
+    assert s.deviation < 1.33 * case.asked
+    assert s.plain > 30
+    assert s.evaluations < 16
+
+
+@pytest.mark.parametrize("case", [*MORE, *FILTERED], ids=named)
+def test_the_bias_is_chance(case: Case) -> None:
+    s = scored(case)
+    assert s.bias < 4.42 * s.chance + 100 * ACCURATE
+    assert s.plain == pytest.approx(100)
+
+
+@pytest.mark.parametrize("case", THIN, ids=named)
+def test_thin_pieces_are_right_on_average(case: Case) -> None:
+    """The sum of the derivative image, over 150 seeds; 4.42 standard errors, which are heavy-tailed but bounded by 1 / chord."""
+    truth = float(case.derivative().sum())
+    sums = torch.stack([edges(case, seed, 3)[0].sum() for seed in range(150)])
+    error = float(sums.std()) / math.sqrt(150)
+    assert abs(float(sums.mean()) - truth) < 4.42 * error
+    assert error < 0.15 * abs(truth)
+
+
+def disc(radius: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    return (torch.hypot(x - 6.1, y - 5.8) < radius).to(x.dtype)
+
+
+def parameter(value: float = 4.0, dtype: torch.dtype = torch.float64) -> Tensor:
+    return torch.tensor(value, dtype=dtype, requires_grad=True)
+
+
+def test_the_value_is_zero_bit_for_bit_and_adds_nothing() -> None:
+    radius = parameter()
+    term = boundary_term(lambda x, y: (disc(radius, x, y), 7 - disc(radius, x, y)), SCREEN, FILTER, 1)
+    assert term.shape == (2, *SIZE) and bool((term == 0).all())
+    picture = torch.rand(2, *SIZE, dtype=torch.float64) - 0.5
+    assert torch.equal(picture + term, picture)
+    first, second = (torch.autograd.grad(term[c].sum(), radius, retain_graph=True)[0] for c in (0, 1))
+    assert float(first) > 20 and float(second) == pytest.approx(-float(first))
+
+
+def test_the_surrogate_has_the_gradient_of_the_dense_term() -> None:
+    radius = parameter()
+    loss = torch.cos(torch.arange(144, dtype=torch.float64)).view(1, *SIZE)
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return disc(radius, x, y)
+
+    (dense,) = torch.autograd.grad((boundary_term(f, SCREEN, FILTER, 5, dtype=torch.float64) * loss).sum(), radius)
+    met = elements(f, SCREEN, CELL, FILTER, 5, dtype=torch.float64)
+    rows, cols, weights = splat(met, SCREEN, FILTER)
+    coefficient = (loss[0][rows, cols] * weights).sum(1) * met.jump[0] * met.weight
+    value = surrogate(f, SCREEN, met, coefficient)
+    assert float(value.detach()) == 0
+    (sparse,) = torch.autograd.grad(value, radius)
+    assert float(sparse) == pytest.approx(float(dense), rel=1e-12)
+
+
+def test_second_derivatives_are_refused() -> None:
+    radius = parameter()
+
+    def gradient() -> Tensor:
+        term = boundary_term(lambda x, y: disc(radius * radius / 4, x, y), SCREEN, FILTER, 1, dtype=torch.float64)
+        return torch.autograd.grad(term.square().sum() + term.sum(), radius, create_graph=True)[0]
+
+    with pytest.raises(mcaa.McaaError, match="second derivative"):
+        torch.autograd.grad(gradient(), radius)
+    with pytest.raises(mcaa.McaaError, match="second derivative"):
+        gradient().backward()
+
+
+def test_zero_with_gradient() -> None:
+    x = torch.tensor([1.0, -2.0], requires_grad=True)
+    zero = zero_with_gradient(3 * x)
+    assert zero.tolist() == [0.0, 0.0]
+    assert torch.autograd.grad(zero.sum(), x)[0].tolist() == [3.0, 3.0]
+
+
+def test_jumps_of_fixed_things_have_no_gradient_and_cost_no_error() -> None:
+    colour = parameter(0.7)
+    term = boundary_term(lambda x, y: torch.where(x > 5.5, colour, 0.1), SCREEN, FILTER, 1, dtype=torch.float64)
+    slope = torch.autograd.grad(term.sum(), colour, allow_unused=True)[0] if term.requires_grad else None
+    assert slope is None or float(slope) == 0
+
+
+def test_all_parameters_of_a_module_in_float32() -> None:
+    """A layer in float32 refuses float64 places, so it is asked in float32: one edge, a line through its weights."""
+
+    class Half(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.linear = torch.nn.Linear(2, 1)
+            with torch.no_grad():
+                self.linear.weight.copy_(torch.tensor([[0.8, 0.6]]))
+                self.linear.bias.fill_(-8.0)
+
+        def forward(self, x: Tensor, y: Tensor) -> Tensor:
+            return (self.linear(torch.stack([x, y], -1))[:, 0] > 0).float()
+
+    module = Half()
+    term = boundary_term(module, SCREEN, FILTER, 2)
+    assert bool((term == 0).all())
+    term.sum().backward()
+    # the picture's sum is the area beyond the line, which is 15 px long; the bias moves it by one px a unit
+    bias, weight = module.linear.bias.grad, module.linear.weight.grad
+    assert bias is not None and weight is not None
+    assert float(bias) == pytest.approx(15, rel=0.01)
+    # moved on the line by its own place there: the mean column and row of the chord
+    assert float(weight[0, 0] * 0.8 + weight[0, 1] * 0.6) == pytest.approx(8 * float(bias), rel=1e-3)
+
+
+def test_an_extent_scales_the_gradient() -> None:
+    """The same disc in units of 1/100 px, with y up: the derivative by its radius in those is 100 times that in pixels."""
+    radius, small = parameter(), parameter(0.04)
+    pixels = boundary_term(lambda x, y: disc(radius, x, y), SCREEN, FILTER, 3, dtype=torch.float64)
+    screen = Screen.of(SIZE, (0.0, 0.12, 0.12, 0.0))
+    scaled = boundary_term(
+        lambda x, y: (torch.hypot(x - 0.061, 0.12 - y - 0.058) < small).double(), screen, FILTER, 3, dtype=torch.float64
+    )
+    one, other = torch.autograd.grad(pixels.sum(), radius)[0], torch.autograd.grad(scaled.sum(), small)[0]
+    assert float(other) == pytest.approx(100 * float(one), rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_margins_that_cannot_be_followed_are_said_with_their_line() -> None:
+    radius = parameter()
+    met = elements(lambda x, y: disc(radius, x.detach(), y.detach()), SCREEN, CELL, FILTER, 0)
+    assert len(met) == 0 and len(met.problems) == 1
+    assert __file__ in met.problems[0] and "no derivative by x and y" in met.problems[0]
+
+    def behind(x: Tensor, y: Tensor) -> Tensor:
+        hidden = torch.from_numpy((x.detach().numpy() > 5.2) * 1.0) + 1e-3 * x
+        return (hidden > 0.5).double()
+
+    met = elements(behind, SCREEN, CELL, FILTER, 0)
+    assert len(met) == 0 and "jumps there, before any decision" in met.problems[0]
+
+
+def test_no_state_is_changed() -> None:
+    radius = parameter()
+    before = torch.get_rng_state(), torch.is_grad_enabled(), torch.get_default_dtype()
+    with torch.no_grad():
+        term = boundary_term(lambda x, y: disc(radius, x, y), SCREEN, FILTER, 1)
+    assert term.requires_grad and torch.is_grad_enabled()
+    assert torch.equal(before[0], torch.get_rng_state()) and before[2] == torch.get_default_dtype()
+    assert radius.grad is None
+
+
+def test_a_filter_that_reaches_everywhere_wants_a_closed_screen() -> None:
+    radius = parameter()
+    term = boundary_term(lambda x, y: disc(radius, x, y), SCREEN, mcaa.Sinc(), 1, closed=True)
+    assert float(torch.autograd.grad(term.sum(), radius)[0]) == pytest.approx(2 * math.pi * 4, rel=0.1)
+
+
+def test_the_benchmark_prints_its_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--seeds", "2", "--cases", "disc radius"])
+    head, rule, row = capsys.readouterr().out.splitlines()
+    assert head.count("|") == rule.count("|") == row.count("|") and row.startswith("| disc radius | 100 %")
