@@ -148,7 +148,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"torch {torch.__version__}, {torch.get_num_threads()} threads, {SIZE} x {SIZE} pixels\n")
     print(
-        "| scene, 64 samples | jumps over none, Auto(): evaluations, time | the same, Shared() | Auto() over by hand | Shared() over by hand | Auto() |"
+        "| scene, 64 samples | with jumps over without, Auto() | Shared() | Auto() over by hand | Shared() over by hand | Auto() |"
     )
     print("|---|---|---|---|---|---|")
     for name in arguments.scenes:

@@ -56,9 +56,7 @@ def test_values_within_their_standard_error(
 ) -> None:
     texture = mcaa.Texture(image(2, 24, 24), interpolation)
     picture = layer(name, size, estimator=estimator, spp=64)(texture)
-    rendered = mcaa.render(
-        texture, size, filter=FILTERS[name], estimator=estimator, spp=64, dtype=torch.float64, progress=False
-    )
+    rendered = mcaa.render(texture, size, filter=FILTERS[name], estimator=estimator, spp=64, dtype=torch.float64, progress=False)
     assert torch.equal(picture, rendered.image)
     z = (picture - filtered(texture.image, size, PROFILES[name], interpolation)) / rendered.stderr
     assert float(z.abs().max()) < quantile(z.numel())

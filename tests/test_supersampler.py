@@ -170,7 +170,7 @@ class TestGradients:
         assert mean - truth > 2 * 4.4 * error
 
     def test_a_disc(self) -> None:
-        """The closed form's derivative in the radius; the estimate over 12 seeds is as far off as its own spread allows (1e-5 of Student's t with 11 degrees: 7.3 of it)."""
+        """The closed form's derivative in the radius. The spread over 12 calls tells the error (7.3 of it: 1e-5 of Student's t)."""
         radius = torch.tensor(7.0, requires_grad=True)
         grad = weights(1, 24, 24)
 

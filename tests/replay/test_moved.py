@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -49,7 +50,7 @@ def test_the_std_of_a_gaussian_over_an_edge() -> None:
 
 
 @pytest.mark.parametrize("boundary", ["zero", "renormalize"])
-def test_the_std_where_the_screen_ends(boundary) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001
+def test_the_std_where_the_screen_ends(boundary: Any) -> None:
     """The exact derivative of the value that the same points give, by central differences."""
     std = torch.nn.Parameter(torch.tensor(0.6, dtype=torch.float64))
     layer = mcaa.Supersampler(
@@ -90,9 +91,7 @@ def test_an_extent_over_an_edge() -> None:
     """x1 of the extent moves an edge that f knows nothing of."""
     extent = torch.tensor([0.0, 18.0, 0.0, 8.0], dtype=torch.float64, requires_grad=True)
     layer = mcaa.Supersampler(SIZE, extent=extent, spp=64).double()
-    found = torch.stack(
-        [torch.autograd.grad((layer(lambda x, y: (x < 9.3).to(x)) * GRAD).sum(), extent)[0] for _ in range(12)]
-    )
+    found = torch.stack([torch.autograd.grad((layer(lambda x, y: (x < 9.3).to(x)) * GRAD).sum(), extent)[0] for _ in range(12)])
 
     def exact(x1: float) -> float:
         edge = 9.3 * SIZE[1] / x1
@@ -106,7 +105,7 @@ def test_an_extent_over_an_edge() -> None:
 
 @pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
 @pytest.mark.parametrize("filter", [mcaa.Gaussian(0.5), mcaa.Tent(), mcaa.Mitchell()], ids=repr)
-def test_a_transform(filter: Filter, interpolation) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001
+def test_a_transform(filter: Filter, interpolation: Any) -> None:
     """Shift, scale, shear and tilt of a texture: differences of pictures of 1,001 samples, of the same points on both sides.
 
     Each entry by what moves the texture by some 0.1 px either way, whose curvature is worth 2 %. The spreads over 8 gradients and over 4
