@@ -115,6 +115,16 @@ def test_code_that_torch_does_not_show_is_found_where_its_result_is_used() -> No
     assert "what f returns takes a tensor from code that the trace cannot see" in problem
 
 
+def test_a_registered_kernel_is_named() -> None:
+    kernel = torch.library.custom_op(
+        "mcaa_tests::hidden", lambda x: (x > 3).float(), mutates_args=(), schema="(Tensor x) -> Tensor"
+    )
+    for call in (kernel, torch.ops.mcaa_tests.hidden):
+        (problem,) = problems(lambda x, y, call=call: call(x.detach()) + y)
+        assert "mcaa_tests" in problem and "is a kernel that the trace cannot see into" in problem
+    assert problems(lambda x, y: torch.ops.aten.add.Tensor(x, y) + torch.ops.aten.mul(x, y)) == ()
+
+
 def test_who_declares_a_jump_is_not_told_of_the_code_that_hides_it() -> None:
     def f(x: Tensor, y: Tensor) -> Tensor:
         mcaa.level_set(x - THETA)
@@ -152,6 +162,11 @@ def test_an_error_of_f_is_chained() -> None:
     with pytest.raises(mcaa.McaaError, match=r"f raised RuntimeError") as caught:
         problems(lambda x, y: x @ torch.ones(3, 3))
     assert isinstance(caught.value.__cause__, RuntimeError)
+
+
+def test_functions_that_fold_their_points_are_probed_with_whole_rows() -> None:
+    (site,) = probe(lambda x, y: (x.view(-1, 64) > THETA).view(-1).float() + 0 * (x > 100), SCREEN, torch.float32, CPU).sites[1:]
+    assert site.axis == 0
 
 
 def test_two_runs_that_differ_are_an_error() -> None:

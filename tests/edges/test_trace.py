@@ -163,3 +163,14 @@ def test_compiled_code_is_seen_through() -> None:
     compiled(row(1.0))
     found = causes(lambda x, y: compiled(x).double(), [2.9], [3.1])
     assert found.cause.tolist() == [0] and torch.allclose(found.margin[:, 0], row(-0.1, 0.1))
+
+
+@pytest.mark.parametrize("lanes", [3, 40])
+def test_signatures_of_few_and_of_many_lanes(lanes: int) -> None:
+    """One of many comparisons differs at a time."""
+    steps = torch.arange(lanes, dtype=torch.float64)
+    x = torch.arange(-1, lanes, dtype=torch.float64) + 0.5
+    found = signatures(lambda x, y: (x[:, None] > steps).sum(1), x, 0 * x)
+    assert len(torch.unique(found)) == lanes + 1
+    repeated = signatures(lambda x, y: (x[:, None] > steps).sum(1), x + 0.3, 0 * x)
+    assert torch.equal(found, repeated)

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_mcaa.edges.program import Program
 from torch_mcaa.edges.trace import Lanes, Signatures, Traced, changed_program
 from torch_mcaa.errors import McaaError
-from torch_mcaa.grid import Screen
+from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function, Integrand
 
 AT_ONCE = 12 * 256 * 8
@@ -24,8 +24,8 @@ V = TypeVar("V", bound=Callable[[int, Lanes], None])
 class Asked:
     """f, traced, at float64 screen columns and rows.
 
-    It is asked in float64, so that places between float32 numbers are told apart; an f that takes `dtype` alone, such as a network, gets
-    that from the first time on that it refuses.
+    Edges are located in float64, so that places between float32 numbers are told apart; an f that takes `dtype` alone, such as a network,
+    gets that from the first time on that it refuses.
     """
 
     def __init__(
@@ -34,6 +34,7 @@ class Asked:
         self.screen, self.program, self.dtype, self.device, self.tally = screen, program, dtype, device, tally
         self.function = function
         self.precision = torch.float64
+        self.coarse = screen.coordinate_dtype(Cell(0, 0, screen.height, screen.width), dtype)
         self.channels = 1
 
     def signatures(self, col: Tensor, row: Tensor) -> Tensor:
@@ -50,8 +51,8 @@ class Asked:
             found.append((values, seen.signatures(len(c))))
         return torch.cat([v for v, _ in found], 1), torch.cat([s for _, s in found])
 
-    def run(self, col: Tensor, row: Tensor, visitor: Callable[[], V]) -> tuple[Tensor, V]:
-        """f's values (C, N) in float64 and what the visitor has seen, in one call of f.
+    def run(self, col: Tensor, row: Tensor, visitor: Callable[[], V], coarse: bool = False) -> tuple[Tensor, V]:
+        """f's values (C, N) in float64 and what the visitor has seen, in one call of f: in the picture's dtype where `coarse` will do.
 
         Raises:
             McaaError: f breaks its contract, or takes other decisions than `program` says.
@@ -59,23 +60,25 @@ class Asked:
         if self.tally is not None:
             self.tally(col.detach(), row.detach())
         x, y = self.screen.x_of(col), self.screen.y_of(row)
+        if coarse:
+            return self._once(x, y, visitor, self.coarse)
         try:
-            return self._once(x, y, visitor)
+            return self._once(x, y, visitor, self.precision)
         except McaaError as error:
             # what f raised itself is chained
             if self.precision == self.dtype or error.__cause__ is None:
                 raise
             before, self.precision = self.precision, self.dtype
             try:
-                return self._once(x, y, visitor)
+                return self._once(x, y, visitor, self.precision)
             except McaaError:
                 self.precision = before
                 raise error from error.__cause__
 
-    def _once(self, x: Tensor, y: Tensor, visitor: Callable[[], V]) -> tuple[Tensor, V]:
+    def _once(self, x: Tensor, y: Tensor, visitor: Callable[[], V], dtype: torch.dtype) -> tuple[Tensor, V]:
         seen = visitor()
         traced = Traced(self.function, self.program.sites, seen)
-        values = Integrand(traced, torch.float64)(x.to(self.device, self.precision), y.to(self.device, self.precision))
+        values = Integrand(traced, torch.float64)(x.to(self.device, dtype), y.to(self.device, dtype))
         if traced.changed is not None:
             raise changed_program(traced.changed)
         self.channels = len(values)

@@ -19,10 +19,8 @@ from torch_mcaa.integrand import Function
 
 _AUDIT = 0xA0D17
 _STEPS = 36
-_SAME = 0.5
-"""What share of a change must be left when its bracket is 2^-18 of what it was: of a jump all, of a slope 2^-18."""
 _ROUNDING, _PART = 1e-5, 1e-3
-"""What is no change, in magnitudes of f, and no jump, in changes over the whole piece: rounding, in code that computes in float32."""
+"""What is no change, in magnitudes of f; and no jump, in changes over the whole piece: of a slope 2^-36 is left, or what float32 rounds to."""
 _CELL = 64
 _MOST = 1 << 16
 """Segments looked at."""
@@ -140,7 +138,7 @@ def untraced(
     looked: int,
     followed: int,
 ) -> tuple[tuple[Jump, ...], tuple[int, int], bool]:
-    """The jumps on `looked` random pieces of lines of up to 1 px, of which the `followed` that change most beside others are bisected.
+    """The jumps on `looked` random pieces of lines of up to 1 px, of which the `followed` that change most are bisected.
 
     A piece counts only while its ends, and all places asked between them, have one signature. With the jumps come the numbers of pieces
     that were looked at and followed, and whether f is random.
@@ -168,19 +166,16 @@ def untraced(
     count = len(number)
     low, high = 0 * one[number], one[number]
     before, after, first = before[:, number], after[:, number], first[number]
-    middle = size[number]
-    for step in range(_STEPS):
-        if step == _STEPS // 2:
-            middle = (after - before).abs().amax(0)
+    for _ in range(_STEPS):
         half = (low + high) / 2
         there, signature = ask(half, number)
         left = (there - before).abs().amax(0) >= (after - there).abs().amax(0)
         low, high = torch.where(left, low, half), torch.where(left, half, high)
         before, after = torch.where(left, before, there), torch.where(left, there, after)
         some = (signature == first).nonzero()[:, 0]
-        low, high, before, after, first, number, middle = (t[..., some] for t in (low, high, before, after, first, number, middle))
+        low, high, before, after, first, number = (t[..., some] for t in (low, high, before, after, first, number))
     size = (after - before).abs().amax(0)
-    left = size > torch.maximum(_SAME * middle, _PART * noticed[number])
+    left = size > _PART * noticed[number]
     number, high, size = (t[left] for t in (number, high, size))
     cols, rows = col[number] + high * over[number], row[number] + high * down[number]
     x, y = screen.x_of(cols), screen.y_of(rows)

@@ -83,7 +83,7 @@ def elements(
 ) -> Elements:
     """The edge elements of one cell.
 
-    Those of all cells of a screen are the same however it is cut into cells, unless f is so dense with jumps that some are left out at
+    Those of all cells of a screen are the same however it is cut into cells, unless f decides so often that some are left out at
     random, for which the others count more. A cell at the border of the screen has the elements beyond it too, as far as the filter reaches,
     unless the screen is `closed`: then f is not asked there. Small cells cost time, large ones only as much memory as they have edges.
 

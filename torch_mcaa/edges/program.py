@@ -19,6 +19,7 @@ _PROBE = 0x960BE
 _COUNTS = 13, 17
 """Two numbers of points: the axis that grows with them is the points'."""
 _POINT, _PARAMETER = 1, 2
+_OURS = ("aten", "prim", "prims", "quantized", "torchvision")
 _POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
 
 
@@ -28,6 +29,19 @@ class Program:
 
     sites: tuple[Site, ...]
     problems: tuple[str, ...]
+
+
+def _runs(
+    counts: tuple[int, int],
+    function: Callable[[Tensor, Tensor], Any],
+    screen: Screen,
+    dtype: torch.dtype,
+    device: torch.device,
+) -> tuple[_Probe, _Probe]:
+    first, second = (_Probe(count) for count in counts)
+    for run in (first, second):
+        run.call(function, screen, dtype, device)
+    return first, second
 
 
 @dataclass(frozen=True)
@@ -41,15 +55,16 @@ class _Met:
 
 
 def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> Program:
-    """Run f on 13 and on 17 random points of the screen, in `dtype`.
+    """Run f on 13 and on 17 random points of the screen, or on 256 times as many where it refuses, in `dtype`.
 
     Raises:
         McaaError: f raised (chained), or its decisions are not the same in both runs.
     """
-    runs = [_Probe(count) for count in _COUNTS]
-    for run in runs:
-        run.call(function, screen, dtype, device)
-    first, second = runs
+    try:
+        first, second = _runs(_COUNTS, function, screen, dtype, device)
+    except McaaError:
+        # some functions fold their points into whole rows
+        first, second = _runs((256 * _COUNTS[0], 256 * _COUNTS[1]), function, screen, dtype, device)
     if [(m.name, len(m.shape)) for m in first.met] != [(m.name, len(m.shape)) for m in second.met]:
         raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
     problems = [*first.problems]
@@ -60,7 +75,7 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         problems += hidden
     sites = []
     for one, two in zip(first.met, second.met, strict=True):
-        axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == _COUNTS]
+        axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
         axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
         sites.append(Site(one.name, one.where, axis))
         if one.wrapped:
@@ -126,6 +141,8 @@ class _Probe(Watch):
             )
         if name in ESCAPES:
             self._escaped(name, depends)
+        if depends & _POINT and _custom(func):
+            self.hidden.append(f"{where()}: {func} is a kernel that the trace cannot see into")
         self._now = depends
         result = super().__torch_function__(func, types, args, kwargs)
         changed = given[:1] if in_place(func) else []
@@ -171,6 +188,12 @@ class _Probe(Watch):
         self._alive.append(tensor)
         self._depends[id(tensor)] = depends
         return depends
+
+
+def _custom(func: Any) -> bool:
+    """Whether a function is an operator that was registered with PyTorch by somebody else."""
+    name = getattr(func, "_qualified_op_name", None) or (func.name() if isinstance(func, torch._ops.OpOverload) else "")
+    return "::" in name and name.split("::")[0] not in _OURS
 
 
 def _tensors(value: Any) -> Iterator[Tensor]:

@@ -94,17 +94,21 @@ def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments
 
     Some of each frequent cause are tried; if f changes no more across their edges than it does smoothly, one of 16 is kept.
     """
+    frequent = (torch.bincount(found.cause.clamp_min(0), minlength=1) > _FREQUENT).nonzero()[:, 0].tolist()
+    if not frequent:
+        return found
     number, chance = found.brackets.numbers(seed), torch.ones_like(found.change)
     order = torch.argsort(number, stable=True)
-    frequent = (torch.bincount(found.cause.clamp_min(0), minlength=1) > _FREQUENT).nonzero()[:, 0].tolist()
-    if frequent:
-        tried = found.take(torch.cat([order[found.cause[order] == cause][:_TRIED] for cause in frequent]))
-        changes = _refined(asked, tried, most, seed)
-        jump = (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0)
-        for cause in frequent:
-            met = jump[changes.cause == cause]
-            if len(met) and float(met.max()) < _SMOOTH * float(tried.change[tried.cause == cause].max()):
-                chance[found.cause == cause] = 1 / _KEPT
+    tried = found.take(torch.cat([order[found.cause[order] == cause][:_TRIED] for cause in frequent]))
+    changes = _refined(asked, tried, most, seed)
+    jump = (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0)
+    smooth = False
+    for cause in frequent:
+        met = jump[changes.cause == cause]
+        if len(met) and float(met.max()) < _SMOOTH * float(tried.change[tried.cause == cause].max()):
+            chance[found.cause == cause], smooth = 1 / _KEPT, True
+    if not smooth:
+        return found
     # another random number than that which chose those tried
     kept = rng.uniform(seed, _WORTH, number, dtype=torch.float64) < chance
     return found.take(kept, chance[kept])
@@ -139,6 +143,8 @@ def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
     changes = _joined([tried.take(hit), halved])
     # the margin may saturate a little beside the edge
     astray = changes.flat | changes.leap
+    if not bool(astray.any()):
+        return changes
     closer = _examined(asked, _quartered(asked, changes.brackets.take(astray), _NARROWEST, most, seed))
     return _joined([changes.take(~astray), closer])
 

@@ -142,7 +142,7 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
     level = lie[:, None].expand_as(place)
     col, row = (place, level) if axis == 0 else (level, place)
     shape = (len(place), place.shape[1])
-    values, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device))
+    values, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 1, False, asked.device), coarse=True)
     signature = seen.signatures(place.numel()).view(place.shape)
     differs = signature[:, 1:] != signature[:, :-1]
     differs[:, 0] &= differs[:, 1]

@@ -24,6 +24,8 @@ from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, rule
 from torch_mcaa.errors import McaaError
 
 _LANE = 0x1A9E
+_FEW = 8
+"""Lanes that are summed one by one, which takes no memory."""
 _HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
 """Our code, and PyTorch's."""
 Visit = Callable[[int, Decision], None]
@@ -159,6 +161,10 @@ class Signatures:
             self._sum = torch.zeros(len(codes), dtype=torch.int64, device=codes.device)
         if codes.is_floating_point():
             codes = codes.to(torch.int64)
+        if codes.shape[1] > _FEW:
+            factors = torch.tensor([_factor(number, lane) for lane in range(codes.shape[1])], device=codes.device)
+            self._sum.add_((codes * factors).sum(1))
+            return
         for lane, code in enumerate(codes.unbind(1)):
             self._sum.add_(code, alpha=_factor(number, lane))
 
