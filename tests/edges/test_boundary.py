@@ -124,6 +124,43 @@ def test_jumps_of_fixed_things_have_no_gradient_and_cost_no_error() -> None:
     assert slope is None or float(slope) == 0
 
 
+def board(x: Tensor, y: Tensor) -> Tensor:
+    return torch.remainder(torch.floor(x / 1.7) + torch.floor(y / 1.9), 2)
+
+
+def test_edges_that_do_not_move_cost_nothing() -> None:
+    """A disc cut out of a checkerboard: evaluations are those of the disc alone, and its jumps those to the board."""
+    radius, places = parameter(), {}
+    for name, ground in (("plain", lambda x, y: torch.zeros_like(x)), ("board", board)):
+        count = [0]
+
+        def tally(col: Tensor, row: Tensor, count: list[int] = count) -> None:
+            count[0] += len(col)
+
+        def f(x: Tensor, y: Tensor, ground=ground) -> Tensor:
+            return torch.where(torch.hypot(x - 6.1, y - 5.8) < radius, 2.0, ground(x, y))
+
+        met = elements(f, SCREEN, CELL, FILTER, 5, dtype=torch.float64, tally=tally)
+        places[name] = met.col, met.jump.abs(), count[0]
+    assert torch.equal(places["plain"][0], places["board"][0]) and places["plain"][2] == places["board"][2]
+    assert set(places["plain"][1].flatten().tolist()) == {2.0} and set(places["board"][1].flatten().tolist()) == {1.0, 2.0}
+    none = elements(board, SCREEN, CELL, FILTER, 5, tally=lambda col, row: pytest.fail("f was asked"))
+    assert len(none) == 0 and none.jump.shape == (1, 0)
+
+
+def test_a_moving_edge_on_a_fixed_one_is_the_moving_one() -> None:
+    """Two channels with one edge: f decides on the fixed one first."""
+    edge = parameter(5.3)
+    term = boundary_term(lambda x, y: (x > 5.3, x > edge), SCREEN, FILTER, 2, dtype=torch.float64)
+    assert float(torch.autograd.grad(term[1].sum(), edge)[0]) == pytest.approx(-12, rel=1e-2)
+
+
+def test_a_moving_decision_that_jumps_at_a_fixed_edge_has_no_part() -> None:
+    height = parameter(1.0)
+    met = elements(lambda x, y: torch.where(x > 5.3, height, 0.0) > 0.5, SCREEN, CELL, FILTER, 2, dtype=torch.float64)
+    assert len(met) == 0 and met.problems == ()
+
+
 def test_all_parameters_of_a_module_in_float32() -> None:
     """A layer in float32 refuses float64 places, so it is asked in float32: one edge, a line through its weights."""
 
@@ -171,7 +208,7 @@ def test_margins_that_cannot_be_followed_are_said_with_their_line() -> None:
 
     def behind(x: Tensor, y: Tensor) -> Tensor:
         hidden = torch.from_numpy((x.detach().numpy() > 5.2) * 1.0) + 1e-3 * x
-        return (hidden > 0.5).double()
+        return (hidden > radius / 8).double()
 
     met = elements(behind, SCREEN, CELL, FILTER, 0)
     assert len(met) == 0 and "jumps there, before any decision" in met.problems[0]

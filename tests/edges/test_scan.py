@@ -24,7 +24,7 @@ def rings(x: Tensor, y: Tensor) -> Tensor:
 
 
 def met(f: Function, cells: list[Cell], seed: int = 1, **arguments: Any) -> list[Elements]:
-    return [elements(f, SCREEN, cell, FILTER, seed, 3, dtype=torch.float64, **arguments) for cell in cells]
+    return [elements(f, SCREEN, cell, FILTER, seed, 3, fixed=True, dtype=torch.float64, **arguments) for cell in cells]
 
 
 def table(found: list[Elements]) -> Tensor:
@@ -130,7 +130,7 @@ def test_borders_of_a_continuous_texture_are_hardly_followed_and_those_of_anothe
             count[0] += len(col)
 
         f = mcaa.Texture(image, interpolation, "repeat", transform=turn)  # pyright: ignore[reportArgumentType]
-        found = elements(f, screen, Cell(0, 0, 48, 48), FILTER, 1, 3, dtype=torch.float64, tally=tally)
+        found = elements(f, screen, Cell(0, 0, 48, 48), FILTER, 1, 3, fixed=True, dtype=torch.float64, tally=tally)
         spent[interpolation], jumps[interpolation] = count[0] / 48**2, float(found.jump.abs().max())
     assert spent["bilinear"] < 18 < spent["nearest"] < 60
     assert jumps["bilinear"] < 5e-3 and jumps["nearest"] > 0.9
@@ -149,7 +149,7 @@ def test_elements_that_were_left_out_count() -> None:
 
     totals, kept = [], []
     for seed in range(40):
-        found = elements(f, screen, Cell(0, 0, 40, 40), mcaa.Box(), seed, 3, dtype=torch.float64, closed=True)
+        found = elements(f, screen, Cell(0, 0, 40, 40), mcaa.Box(), seed, 3, fixed=True, dtype=torch.float64, closed=True)
         # weights are what a unit of the margin's slope is worth: |g| = 1 / width px
         totals.append(float(found.weight.sum()) / float(width))
         kept.append(len(found))

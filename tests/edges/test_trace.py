@@ -11,7 +11,8 @@ from torch import Tensor
 
 from torch_mcaa.edges.asked import Asked
 from torch_mcaa.edges.program import Program, probe
-from torch_mcaa.edges.trace import Causes, Margins, Signatures, Traced, Watch
+from torch_mcaa.edges.trace import Traced, Watch
+from torch_mcaa.edges.visitors import Causes, Margins, Signatures
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 
@@ -21,7 +22,7 @@ Function = Callable[[Tensor, Tensor], Any]
 
 
 def program_of(f: Function) -> Program:
-    return probe(f, SCREEN, torch.float64, CPU)
+    return probe(f, SCREEN, torch.float64, CPU).all_moving()
 
 
 def row(*values: float) -> Tensor:

@@ -116,10 +116,11 @@ def check_discontinuities(
     program = probe(f, screen, dtype, placed)
     counts: Counter[int] = Counter()
     problems = dict.fromkeys(program.problems)
+    fixed = tuple(f"{site.where}: {site.name} " for site in program.sites if not site.moves)
     for cell in screen.cells(_CELL, _CELL):
-        met = elements(f, screen, cell, Box(), seed, 1, closed=True, program=program, dtype=dtype, device=placed)
+        met = elements(f, screen, cell, Box(), seed, 1, closed=True, program=program, fixed=True, dtype=dtype, device=placed)
         counts.update(met.cause.tolist())
-        problems.update(dict.fromkeys(met.problems))
+        problems.update((p, None) for p in met.problems if not p.startswith(fixed))
     jumps, probes, random = untraced(
         f, screen, program, seed, dtype, placed, min(_MOST, 2 * screen.height * screen.width), _FOLLOWED
     )
@@ -143,7 +144,7 @@ def untraced(
     A piece counts only while its ends, and all places asked between them, have one signature. With the jumps come the numbers of pieces
     that were looked at and followed, and whether f is random.
     """
-    asked = Asked(function, screen, program, dtype, device, None)
+    asked = Asked(function, screen, program.all_moving(), dtype, device, None)
     index = torch.arange(looked, device=device)
     across, along, axis = (rng.uniform(seed, _AUDIT, k, index, dtype=torch.float64) for k in range(3))
     col, row = across * screen.width, along * screen.height

@@ -21,7 +21,7 @@ from torch_mcaa.edges.once import zero_with_gradient
 from torch_mcaa.edges.program import Program, probe
 from torch_mcaa.edges.refine import Changes, refine
 from torch_mcaa.edges.scan import scan, share
-from torch_mcaa.edges.trace import Margins
+from torch_mcaa.edges.visitors import Margins
 from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
@@ -77,6 +77,7 @@ def elements(
     *,
     closed: bool = False,
     program: Program | None = None,
+    fixed: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | None = None,
     tally: Tally | None = None,
@@ -90,6 +91,7 @@ def elements(
     Args:
         seed, lines: what the lines lie by, and how many a pixel there are along either axis.
         program: what `probe` says of f, if it has been asked before.
+        fixed: meet the edges too that depend on no tensor that wants a gradient. Where all are such, f is not asked otherwise.
         dtype: the picture's; f is asked in float64, or in this where it refuses.
         tally: told of every place that f is asked at.
 
@@ -98,7 +100,15 @@ def elements(
     """
     device = torch.device("cpu") if device is None else device
     program = program or probe(function, screen, dtype, device)
+    if fixed:
+        program = program.all_moving()
     asked = Asked(function, screen, program, dtype, device, tally)
+    if not program.moves:
+        none = torch.zeros(0, dtype=torch.float64, device=device)
+        whole = none.long()
+        return Elements(
+            none, none, none.expand(program.channels, 0), none, whole, whole.expand(3, 0).T, none.expand(2, 0), program, dtype, ()
+        )
     cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
     most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
@@ -137,6 +147,8 @@ def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
     changed = brackets.own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
     flat, leap = changed & changes.flat, changed & changes.leap
     some = (changed & ~flat & ~leap & size.isfinite()).nonzero()[:, 0]
+    # a margin that jumps with an edge that stays where it is stays there too
+    flat, leap = flat & ~changes.behind, leap & ~changes.behind
     col, row = brackets.places(place)
     at = torch.stack(brackets.places(torch.where(high > 0, brackets.high, brackets.low)))
     weight = 1 / (probability * brackets.chance * lines * size)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -25,10 +25,20 @@ _POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
 
 @dataclass(frozen=True)
 class Program:
-    """The decisions of f in order, and sentences about what the trace cannot follow, each with a line of the user's code."""
+    """The decisions of f in order; sentences about what the trace cannot follow, each with a line of the user's code; how many channels."""
 
     sites: tuple[Site, ...]
     problems: tuple[str, ...]
+    channels: int
+
+    @property
+    def moves(self) -> bool:
+        """Whether any edge depends on a tensor that wants a gradient."""
+        return any(site.moves and site.axis is not None for site in self.sites)
+
+    def all_moving(self) -> Program:
+        """With all decisions taken for such."""
+        return replace(self, sites=tuple(replace(site, moves=True) for site in self.sites))
 
 
 def _runs(
@@ -77,7 +87,7 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
     for one, two in zip(first.met, second.met, strict=True):
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
         axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
-        sites.append(Site(one.name, one.where, axis))
+        sites.append(Site(one.name, one.where, axis, bool(one.depends & _PARAMETER)))
         if one.wrapped:
             problems.append(f"{one.where}: {one.name} inside vmap or another function transform")
         elif axis is None and one.name in _POLES:
@@ -88,7 +98,7 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
             )
         elif axis is None and one.depends & _PARAMETER:
             problems.append(f"{one.where}: {one.name} decides on parameters alone, and jumps for all points at once")
-    return Program(tuple(sites), tuple(dict.fromkeys(problems)))
+    return Program(tuple(sites), tuple(dict.fromkeys(problems)), first.channels)
 
 
 class _Probe(Watch):
@@ -97,6 +107,7 @@ class _Probe(Watch):
     def __init__(self, points: int) -> None:
         super().__init__(self._decided)
         self.points = points
+        self.channels = 1
         self.met: list[_Met] = []
         self.problems: list[str] = []
         self.hidden: list[str] = []
@@ -123,6 +134,8 @@ class _Probe(Watch):
                     returned = function(x, y)
             except Exception as error:
                 raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {self.points} points") from error
+            # a tensor of one axis more than the points' has one for channels
+            self.channels = len(returned) if not isinstance(returned, Tensor) or returned.ndim > x.ndim else 1
             for tensor in _tensors(returned):
                 self._origin(tensor, "what f returns")
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
 from torch_mcaa.edges.scan import Brackets, Segments, joined
-from torch_mcaa.edges.trace import Causes, Margins
+from torch_mcaa.edges.visitors import Causes, Margins
 
 _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
@@ -34,6 +34,7 @@ class Changes:
         signatures: (2, N) at the low and at the high end; values: (C, 2, N) float64, f there.
         cause, branch: (N,) and (N, 3), as in `Causes`, with margin: (2, N) at the ends.
         slope: (2, 2, N) the margins' derivatives by column and row (first index) at the ends.
+        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order.
     """
 
     brackets: Brackets
@@ -43,6 +44,7 @@ class Changes:
     branch: Tensor
     margin: Tensor
     slope: Tensor
+    behind: Tensor
 
     def __len__(self) -> int:
         return len(self.cause)
@@ -72,6 +74,7 @@ class Changes:
             self.branch[index],
             self.margin[:, index],
             self.slope[..., index],
+            self.behind[index],
         )
 
 
@@ -142,7 +145,7 @@ def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
     halved = _examined(asked, _quartered(asked, joined(rest), _NARROW, most, seed))
     changes = _joined([tried.take(hit), halved])
     # the margin may saturate a little beside the edge
-    astray = changes.flat | changes.leap
+    astray = (changes.flat | changes.leap) & ~changes.behind
     if not bool(astray.any()):
         return changes
     closer = _examined(asked, _quartered(asked, changes.brackets.take(astray), _NARROWEST, most, seed))
@@ -202,7 +205,9 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
         if count == 0:
             none = part.low.new_zeros
             whole = part.line.new_zeros
-            return Changes(part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0))
+            return Changes(
+                part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0), whole(0) > 0
+            )
         with torch.enable_grad():
             col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
             values, seen = asked.run(col, row, lambda c=count: Causes((2, c), 0, True, asked.device))
@@ -216,6 +221,7 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
                 seen.branch,
                 seen.margin,
                 slope.unflatten(1, (2, count)),
+                seen.behind,
             )
         )
     return _joined(parts)
@@ -230,8 +236,8 @@ def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
 
 
 def _joined(parts: list[Changes]) -> Changes:
-    signatures, values, cause, margin, slope = (
-        torch.cat([getattr(p, name) for p in parts], -1) for name in ("signatures", "values", "cause", "margin", "slope")
+    signatures, values, cause, margin, slope, behind = (
+        torch.cat([getattr(p, name) for p in parts], -1) for name in ("signatures", "values", "cause", "margin", "slope", "behind")
     )
     branch = torch.cat([p.branch for p in parts])
-    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope)
+    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind)
