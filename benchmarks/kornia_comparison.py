@@ -60,10 +60,14 @@ def warps(rounds: int) -> list[Tensor]:
         src = image(name)
         M = plane(*src.shape[-2:])
         truth = mcaa.warp_perspective(src, M, size, padding_mode="border", spp=1024, seed=9)
-        theirs, their_time = timed(lambda src=src, M=M: kornia.geometry.warp_perspective(src, M, size, padding_mode="border"), rounds)
+        theirs, their_time = timed(
+            lambda src=src, M=M: kornia.geometry.warp_perspective(src, M, size, padding_mode="border"), rounds
+        )
         ours, our_time = timed(lambda src=src, M=M: mcaa.warp_perspective(src, M, size, padding_mode="border"), rounds)
         more = mcaa.warp_perspective(src, M, size, padding_mode="border", spp=64)
-        print(f"| {name} | {rms(theirs, truth):.2g} | {rms(ours, truth):.2g} | {rms(more, truth):.2g} | {their_time:.1f} | {our_time:.0f} |")
+        print(
+            f"| {name} | {rms(theirs, truth):.2g} | {rms(ours, truth):.2g} | {rms(more, truth):.2g} | {their_time:.1f} | {our_time:.0f} |"
+        )
         if not shown:
             shown = [theirs, ours, truth]
     return shown
@@ -87,7 +91,9 @@ def resizing(rounds: int) -> list[Tensor]:
         ways: dict[str, Callable[[], Tensor]] = {
             "kornia.resize": lambda src=src: kornia.geometry.resize(src, size),
             "kornia.resize(antialias=True)": lambda src=src: kornia.geometry.resize(src, size, antialias=True),
-            "interpolate(antialias=True)": lambda src=src: torch.nn.functional.interpolate(src, size, mode="bilinear", antialias=True),
+            "interpolate(antialias=True)": lambda src=src: torch.nn.functional.interpolate(
+                src, size, mode="bilinear", antialias=True
+            ),
             "skimage.resize(anti_aliasing=True)": by_skimage,
             "ours, Gaussian(0.5), 16 a pixel": lambda src=src: mcaa.resize(src, size),
             "ours, Box(), 16 a pixel": lambda src=src: mcaa.resize(src, size, "area"),

@@ -8,14 +8,15 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.boundary import elements, surrogate
+from torch_mcaa.edges.boundary import LINES, elements, surrogate
 from torch_mcaa.edges.program import Program
 from torch_mcaa.errors import McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.replay.adjoint import at_places
 from torch_mcaa.replay.dependencies import Dependencies, check_reached
 
-_SAMPLES_A_LINE = 16
+_SAMPLES = 64
+"""Evaluations a pixel of which `LINES` lines take a fifth."""
 _CELL = 256
 
 
@@ -27,7 +28,7 @@ class OfJumps:
 
     def __init__(self, task: Task, program: Program, inputs: Dependencies, spp: int) -> None:
         self.task, self.program, self.inputs = task, program, inputs
-        self.lines = max(1, spp // _SAMPLES_A_LINE)
+        self.lines = max(1, LINES * spp // _SAMPLES)
         self.evaluations = 0
 
     def parts(self, grad: Tensor) -> Iterator[tuple[Tensor | None, ...]]:
