@@ -86,7 +86,7 @@ def resizing(rounds: int) -> list[Tensor]:
 
         def by_skimage(array: np.ndarray = array) -> Tensor:
             resized = skimage.transform.resize(array, size, anti_aliasing=True, order=1)
-            return torch.from_numpy(np.moveaxis(resized, -1, 0)).float()[None]
+            return torch.from_numpy(np.moveaxis(np.asarray(resized), -1, 0)).float()[None]
 
         ways: dict[str, Callable[[], Tensor]] = {
             "kornia.resize": lambda src=src: kornia.geometry.resize(src, size),

@@ -185,6 +185,9 @@ class TestGradients:
         truth = (exact(7.0005) - exact(6.9995)) / 1e-3
         assert float((found.mean() - truth).abs()) < 7.3 * float(found.std()) / 12**0.5
         assert float(found.std()) < 0.02 * float(grad.square().sum().sqrt())
+        # the sum over the pixels is the area, whose derivative the lines give far better: each meets the disc in a chord
+        (whole,) = torch.autograd.grad(layer(f).sum(), radius)
+        assert abs(float(whole) / (2 * torch.pi * 7) - 1) < 0.01
 
     def test_second_derivatives_are_refused(self) -> None:
         p = torch.tensor([0.7, 0.3, 1.1], requires_grad=True)

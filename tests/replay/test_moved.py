@@ -13,7 +13,8 @@ import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters import Filter
-from torch_mcaa.replay.moved import is_continuous
+from torch_mcaa.grid import Screen
+from torch_mcaa.replay.moved import Moved, is_continuous
 
 SIZE = 8, 9
 GRAD = torch.randn(1, *SIZE, dtype=torch.float64, generator=torch.Generator().manual_seed(4))
@@ -101,6 +102,22 @@ def test_an_extent_over_an_edge() -> None:
     error = found[:, 1].std() / 12**0.5
     assert abs(float(found[:, 1].mean()) - expected) < 7.3 * float(error) + 1e-6
     assert float(found[:, 1].std()) < 0.02
+
+
+def test_places_and_areas() -> None:
+    """Back where they came from, and the logarithm of the area is that of the map's Jacobian, up to one number for all places."""
+    screen = Screen.of(SIZE, (2.0, 7.0, 9.0, -3.0))
+    matrix = torch.tensor([[1.7, 0.3, 2.0], [-0.2, 1.9, 1.0], [0.05, 0.03, 1.0]], dtype=torch.float64)
+    col, row = torch.rand(2, 50, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 8
+    for extent in (None, torch.tensor(screen.extent, dtype=torch.float64)):
+        for transform in (None, matrix):
+            moved = Moved(screen, extent, transform)
+            u, v = (t.requires_grad_() for t in moved.held(col, row))
+            back = moved.pulled(u, v)
+            torch.testing.assert_close(torch.stack(back[:2]).detach(), torch.stack([col, row]), rtol=0, atol=1e-9)
+            (a, b), (c, d) = (torch.autograd.grad(t.sum(), (u, v), retain_graph=True, materialize_grads=True) for t in back[:2])
+            off = back[2] - (a * d - b * c).abs().log()
+            assert float(off.detach().max() - off.detach().min()) < 1e-9
 
 
 @pytest.mark.parametrize("interpolation", ["nearest", "bilinear"])
