@@ -155,6 +155,53 @@ def test_a_moving_edge_on_a_fixed_one_is_the_moving_one() -> None:
     assert float(torch.autograd.grad(term[1].sum(), edge)[0]) == pytest.approx(-12, rel=1e-2)
 
 
+def test_an_outline_by_crossing_numbers() -> None:
+    """Decisions that jump nowhere, rows of the vertices, in segments with true edges: those are not left out with them.
+
+    The gradient of a polygon's area is the shoelace formula's. 3 lines a pixel on edges of 8 px and more: 2 % at their ends.
+    """
+    vertices = torch.tensor([[3.0, 4], [20, 5], [17, 19], [6, 16]], dtype=torch.float64, requires_grad=True)
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        (ax, ay), (bx, by) = vertices.T[:, None], vertices.roll(-1, 0).T[:, None]
+        row, crossing = y[:, None], ax + (y[:, None] - ay) / (by - ay) * (bx - ax)
+        return (((ay <= row) != (by <= row)) & (x[:, None] < crossing)).sum(1) % 2
+
+    after = vertices.roll(-1, 0)
+    (truth,) = torch.autograd.grad(0.5 * (vertices[:, 0] * after[:, 1] - after[:, 0] * vertices[:, 1]).sum(), vertices)
+    for seed in range(3):
+        term = boundary_term(f, Screen.of((24, 24)), FILTER, seed, dtype=torch.float64)
+        (found,) = torch.autograd.grad(term.sum(), vertices)
+        assert float((found - truth).abs().max()) < 0.05 * float(truth.abs().max())
+
+
+def test_edges_of_different_tensors_on_one_another_are_said() -> None:
+    """Colour fringes that start at nothing: which of three equal edges has which jump cannot be told. A step later it can."""
+    shifts = [parameter(value) for value in (0.0, 0.0, 0.0)]
+
+    def f(x: Tensor, y: Tensor) -> list[Tensor]:
+        return [disc(torch.tensor(4.0), x - shift, y) for shift in shifts]
+
+    met = elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64)
+    assert len(met.problems) >= 1 and "start them apart" in met.problems[0] and __file__ in met.problems[0]
+    with torch.no_grad():
+        for k, shift in enumerate(shifts):
+            shift += 0.01 * k
+    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64).problems == ()
+
+
+def test_edges_that_belong_together_are_not_said() -> None:
+    """One margin twice; a decision that follows from another; corners, where edges of different tensors cross."""
+    radius, height = parameter(), parameter(1.0)
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        inside = disc(radius, x, y)
+        again = torch.hypot(x - 6.1, y - 5.8) < radius
+        return torch.where(again, height, 0.0) * inside + ((inside * height > 0.5) & (x > 6 * height))
+
+    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64).problems == ()
+
+
 def test_a_moving_decision_that_jumps_at_a_fixed_edge_has_no_part() -> None:
     height = parameter(1.0)
     met = elements(lambda x, y: torch.where(x > 5.3, height, 0.0) > 0.5, SCREEN, CELL, FILTER, 2, dtype=torch.float64)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.program import Program
-from torch_mcaa.edges.trace import Lanes, Traced, changed_program
+from torch_mcaa.edges.trace import Lanes, Site, Traced, changed_program
 from torch_mcaa.edges.visitors import Signatures
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Cell, Screen
@@ -19,7 +19,7 @@ AT_ONCE = 12 * 256 * 8
 """Points of one call."""
 Tally = Callable[[Tensor, Tensor], None]
 """Told the columns and rows (N,) of every place that f is asked at."""
-V = TypeVar("V", bound=Callable[[int, Lanes, bool], None])
+V = TypeVar("V", bound=Callable[[int, Lanes, Site], None])
 
 
 class Asked:

@@ -32,6 +32,7 @@ _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
 """At least so many segments, and four a pixel, are followed."""
+_SEVERAL, _PART = 8, 0.05
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -113,10 +114,27 @@ def elements(
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
     most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
     changes = refine(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
-    col, row, jump, weight, cause, branch, at, flat, leap = _weighed(changes, lines)
+    col, row, jump, weight, cause, branch, at, flat, leap, rival = _weighed(changes, lines)
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
+    if not fixed:
+        problems += _shared(program, cause, rival)
     return Elements(col, row, jump, weight, cause, branch, at, program, asked.precision, tuple(problems))
+
+
+def _shared(program: Program, cause: Tensor, rival: Tensor) -> list[str]:
+    """Of edges of two decisions, moved by different tensors, that lie on one another: as at the crossing of two edges, only everywhere."""
+    said = []
+    for first in cause[rival >= 0].unique().tolist():
+        own = rival[cause == first]
+        for second in own[own >= 0].unique().tolist():
+            if int((own == second).sum()) > max(_SEVERAL, _PART * len(own)):
+                one, other = program.sites[first], program.sites[second]
+                said.append(
+                    f"{other.where}: {other.name} has its edge where {one.name} ({one.where}) has one, whose tensors get the gradient of "
+                    "both: start them apart"
+                )
+    return said
 
 
 def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
@@ -162,6 +180,7 @@ def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
         at[:, some],
         changes.cause[flat],
         changes.cause[leap],
+        changes.rival[some],
     )
 
 

@@ -19,6 +19,8 @@ _PROBE = 0x960BE
 _COUNTS = 13, 17
 """Two numbers of points: the axis that grows with them is the points'."""
 _POINT, _PARAMETER = 1, 2
+_FIRST = 2
+"""The bit of the first tensor that wants a gradient; that of the first decision is the next one, and so on by turns."""
 _OURS = ("aten", "prim", "prims", "quantized", "torchvision")
 _POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
 
@@ -38,7 +40,7 @@ class Program:
 
     def all_moving(self) -> Program:
         """With all decisions taken for such."""
-        return replace(self, sites=tuple(replace(site, moves=True) for site in self.sites))
+        return replace(self, sites=tuple(replace(site, tensors=site.tensors or 1) for site in self.sites))
 
 
 def _runs(
@@ -87,7 +89,7 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
     for one, two in zip(first.met, second.met, strict=True):
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
         axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
-        sites.append(Site(one.name, one.where, axis, bool(one.depends & _PARAMETER)))
+        sites.append(Site(one.name, one.where, axis, _every_other(one.depends >> _FIRST), _every_other(one.depends >> _FIRST + 1)))
         if one.wrapped:
             problems.append(f"{one.where}: {one.name} inside vmap or another function transform")
         elif axis is None and one.name in _POLES:
@@ -99,6 +101,10 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         elif axis is None and one.depends & _PARAMETER:
             problems.append(f"{one.where}: {one.name} decides on parameters alone, and jumps for all points at once")
     return Program(tuple(sites), tuple(dict.fromkeys(problems)), first.channels)
+
+
+def _every_other(bits: int) -> int:
+    return sum((bits >> 2 * k & 1) << k for k in range(bits.bit_length() // 2 + 1))
 
 
 class _Probe(Watch):
@@ -115,6 +121,7 @@ class _Probe(Watch):
         self._depends: dict[int, int] = {}
         self._alive: list[Tensor] = []
         self._calls = 0
+        self._tensors = 0
         self._now = 0
         self._leaves: tuple[Tensor, ...] = ()
 
@@ -156,8 +163,10 @@ class _Probe(Watch):
             self._escaped(name, depends)
         if depends & _POINT and _custom(func):
             self.hidden.append(f"{where()}: {func} is a kernel that the trace cannot see into")
-        self._now = depends
+        self._now, number = depends, self.number
         result = super().__torch_function__(func, types, args, kwargs)
+        if self.number > number:
+            depends |= 1 << _FIRST + 1 + 2 * number
         changed = given[:1] if in_place(func) else []
         for tensor in (*_tensors(result), *changed):
             self._note(tensor, depends)
@@ -187,7 +196,10 @@ class _Probe(Watch):
         known = self._depends.get(id(tensor))
         if known is not None:
             return known
-        depends = _PARAMETER if tensor.requires_grad else 0
+        depends = 0
+        if tensor.requires_grad:
+            depends = _PARAMETER | 1 << _FIRST + 2 * self._tensors
+            self._tensors += 1
         if tensor.grad_fn is not None and _reaches(tensor, self._leaves):
             depends |= _POINT
             self.hidden.append(

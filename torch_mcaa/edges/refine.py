@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
 from torch_mcaa.edges.scan import Brackets, Segments, joined
-from torch_mcaa.edges.visitors import Causes, Margins
+from torch_mcaa.edges.visitors import MANY, Causes, Margins
 
 _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
@@ -34,7 +34,7 @@ class Changes:
         signatures: (2, N) at the low and at the high end; values: (C, 2, N) float64, f there.
         cause, branch: (N,) and (N, 3), as in `Causes`, with margin: (2, N) at the ends.
         slope: (2, 2, N) the margins' derivatives by column and row (first index) at the ends.
-        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order.
+        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order; rival: (N,), as in `Causes`.
     """
 
     brackets: Brackets
@@ -45,6 +45,7 @@ class Changes:
     margin: Tensor
     slope: Tensor
     behind: Tensor
+    rival: Tensor
 
     def __len__(self) -> int:
         return len(self.cause)
@@ -75,6 +76,7 @@ class Changes:
             self.margin[:, index],
             self.slope[..., index],
             self.behind[index],
+            self.rival[index],
         )
 
 
@@ -93,28 +95,31 @@ def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
 
 
 def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
-    """Fewer of the segments whose cause does not seem to make f jump, such as the texels' borders of a bilinear texture.
+    """Fewer of the segments in which such decisions differ as do not seem to make f jump, like those at texels' borders in a bilinear texture.
 
-    Some of each frequent cause are tried; if f changes no more across their edges than it does smoothly, one of 16 is kept.
+    Of all those in which the same decisions differ, if there are many, some are tried; where f changes no more across any edge in them than
+    it does smoothly, one of 16 is kept.
     """
-    frequent = (torch.bincount(found.cause.clamp_min(0), minlength=1) > _FREQUENT).nonzero()[:, 0].tolist()
+    patterns, group, counts = torch.unique(found.differing, return_inverse=True, return_counts=True)
+    frequent = ((counts > _FREQUENT) & (patterns < 1 << MANY)).nonzero()[:, 0].tolist()
     if not frequent:
         return found
-    number, chance = found.brackets.numbers(seed), torch.ones_like(found.change)
+    number = found.brackets.numbers(seed)
     order = torch.argsort(number, stable=True)
-    tried = found.take(torch.cat([order[found.cause[order] == cause][:_TRIED] for cause in frequent]))
+    tried = found.take(torch.cat([order[group[order] == k][:_TRIED] for k in frequent]))
+    groups = torch.tensor(frequent, device=asked.device).repeat_interleave(_TRIED)
+    tried = replace(tried, brackets=replace(tried.brackets, group=groups))
     changes = _refined(asked, tried, most, seed)
-    jump = (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0)
-    smooth = False
-    for cause in frequent:
-        met = jump[changes.cause == cause]
-        if len(met) and float(met.max()) < _SMOOTH * float(tried.change[tried.cause == cause].max()):
-            chance[found.cause == cause], smooth = 1 / _KEPT, True
-    if not smooth:
+    jump, size = (torch.zeros(len(patterns), dtype=torch.float64, device=asked.device) for _ in range(2))
+    jump.scatter_reduce_(0, changes.brackets.group, (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0), "amax")
+    size.scatter_reduce_(0, groups, tried.change, "amax")
+    chance = torch.ones_like(size)
+    chance[frequent] = torch.where(jump[frequent] < _SMOOTH * size[frequent], 1 / _KEPT, 1.0).to(torch.float64)
+    if bool((chance == 1).all()):
         return found
     # another random number than that which chose those tried
-    kept = rng.uniform(seed, _WORTH, number, dtype=torch.float64) < chance
-    return found.take(kept, chance[kept])
+    kept = rng.uniform(seed, _WORTH, number, dtype=torch.float64) < chance[group]
+    return found.take(kept, chance[group][kept])
 
 
 def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
@@ -206,7 +211,15 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
             none = part.low.new_zeros
             whole = part.line.new_zeros
             return Changes(
-                part, whole(2, 0), none(asked.channels, 2, 0), whole(0), whole(0, 3), none(2, 0), none(2, 2, 0), whole(0) > 0
+                part,
+                whole(2, 0),
+                none(asked.channels, 2, 0),
+                whole(0),
+                whole(0, 3),
+                none(2, 0),
+                none(2, 2, 0),
+                whole(0) > 0,
+                whole(0),
             )
         with torch.enable_grad():
             col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
@@ -222,6 +235,7 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
                 seen.margin,
                 slope.unflatten(1, (2, count)),
                 seen.behind,
+                seen.rival,
             )
         )
     return _joined(parts)
@@ -236,8 +250,9 @@ def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
 
 
 def _joined(parts: list[Changes]) -> Changes:
-    signatures, values, cause, margin, slope, behind = (
-        torch.cat([getattr(p, name) for p in parts], -1) for name in ("signatures", "values", "cause", "margin", "slope", "behind")
+    signatures, values, cause, margin, slope, behind, rival = (
+        torch.cat([getattr(p, name) for p in parts], -1)
+        for name in ("signatures", "values", "cause", "margin", "slope", "behind", "rival")
     )
     branch = torch.cat([p.branch for p in parts])
-    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind)
+    return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind, rival)

@@ -26,7 +26,7 @@ class Brackets:
         low, high: (N,) the ends, in px.
         before, after: (N,) int64 signatures there.
         line: (N,) int64, which line of the scan; own: (N,) bool, whether it is the rectangle's, or tells of those that are.
-        chance: (N,) the probability with which it was kept where there were too many.
+        chance: (N,) the probability with which it was kept where there were too many; group: (N,) int64, any number.
     """
 
     axis: Tensor
@@ -38,6 +38,7 @@ class Brackets:
     line: Tensor
     own: Tensor
     chance: Tensor
+    group: Tensor
 
     def __len__(self) -> int:
         return len(self.low)
@@ -85,11 +86,12 @@ def joined(parts: list[Brackets]) -> Brackets:
 class Segments:
     """Segments that hold a change, with what is known of the first decision that differs between their ends.
 
-    cause: (N,), branch: (N, 3), margin: (2, N), as in `Causes`; change: (N,) how much f differs, in the channel that does most.
+    cause, differing: (N,), branch: (N, 3), margin: (2, N), as in `Causes`; change: (N,) how much f differs, in the channel that does most.
     """
 
     brackets: Brackets
     cause: Tensor
+    differing: Tensor
     branch: Tensor
     margin: Tensor
     change: Tensor
@@ -100,6 +102,7 @@ class Segments:
         return Segments(
             replace(kept, chance=kept.chance * chance),
             self.cause[index],
+            self.differing[index],
             self.branch[index],
             self.margin[:, index],
             self.change[index],
@@ -133,8 +136,10 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
                 place = place.clamp(0, size[axis] * (1 - 2.0**-50))
             found.append(_differing(asked, axis, lie[part], place, count + first))
         count += len(lie)
-    cause, branch, change = (torch.cat([getattr(f, name) for f in found]) for name in ("cause", "branch", "change"))
-    return Segments(joined([f.brackets for f in found]), cause, branch, torch.cat([f.margin for f in found], 1), change)
+    cause, differing, branch, change = (
+        torch.cat([getattr(f, name) for f in found]) for name in ("cause", "differing", "branch", "change")
+    )
+    return Segments(joined([f.brackets for f in found]), cause, differing, branch, torch.cat([f.margin for f in found], 1), change)
 
 
 def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) -> Segments:
@@ -158,11 +163,12 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
         line + line0,
         (segment > 0) & (segment < shape[1] - 2),
         torch.ones_like(lie[line]),
+        torch.zeros_like(line),
     )
     chosen = differs.flatten()
     low = line * shape[1] + segment
     change = (values[:, low + 1] - values[:, low]).abs().amax(0)
-    return Segments(brackets, seen.cause[chosen], seen.branch[chosen], seen.margin[:, chosen], change)
+    return Segments(brackets, seen.cause[chosen], seen.differing[chosen], seen.branch[chosen], seen.margin[:, chosen], change)
 
 
 def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor) -> Tensor:

@@ -29,14 +29,20 @@ _HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.p
 class Site:
     """A decision as the probe met it: `name` of the operation, `where` in the user's code, `axis` of its codes along which the points lie.
 
-    The axis is None for a decision that is the same at all points, or cannot be laid out by points. `moves`: what it decides by depends on a
-    tensor that wants a gradient; the others' edges stay where they are, and have no part in any derivative.
+    The axis is None for a decision that is the same at all points, or cannot be laid out by points. `tensors` and `decisions`: the tensors that
+    want a gradient, and the earlier decisions, on which it depends, a bit each.
     """
 
     name: str
     where: str
     axis: int | None
-    moves: bool
+    tensors: int
+    decisions: int
+
+    @property
+    def moves(self) -> bool:
+        """Whether its edge does, with some tensor; the others' edges stay where they are, and have no part in any derivative."""
+        return self.tensors != 0
 
 
 class Watch(TorchFunctionMode):
@@ -75,7 +81,7 @@ class Traced:
     """
 
     def __init__(
-        self, function: Callable[[Tensor, Tensor], Any], sites: Sequence[Site], visit: Callable[[int, Lanes, bool], None]
+        self, function: Callable[[Tensor, Tensor], Any], sites: Sequence[Site], visit: Callable[[int, Lanes, Site], None]
     ) -> None:
         self.function, self.sites, self.visit = function, sites, visit
         self.points = 0
@@ -101,7 +107,7 @@ class Traced:
             if decision.codes.shape[site.axis] != self.points:
                 self.changed = f"{name} on {tuple(decision.codes.shape)} for {self.points} points ({site.where})"
             else:
-                self.visit(number, Lanes(decision, site.axis), site.moves)
+                self.visit(number, Lanes(decision, site.axis), site)
 
 
 class Lanes:

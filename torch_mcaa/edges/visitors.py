@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.trace import Lanes
+from torch_mcaa.edges.trace import Lanes, Site
 
 _LANE = 0x1A9E
+MANY = 62
 _FEW = 8
 """Lanes that are summed one by one, which takes no memory."""
 
@@ -26,8 +27,8 @@ class Signatures:
         """(count,): of the first points."""
         return torch.zeros(count, dtype=torch.int64, device=self.device) if self._sum is None else self._sum[:count]
 
-    def __call__(self, number: int, lanes: Lanes, moves: bool) -> None:
-        if moves:
+    def __call__(self, number: int, lanes: Lanes, site: Site) -> None:
+        if site.moves:
             self.add(number, lanes.codes())
 
     def add(self, number: int, codes: Tensor) -> None:
@@ -57,7 +58,9 @@ class Causes(Signatures):
     Attributes:
         cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
         margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
+        differing: (n,) int64, a bit for each decision that differs; number `MANY` and all after it have one bit.
         behind: (n,) bool, if `sloped`: one that does not move differs before it, so that its margin may jump.
+        rival: (n,) the number of a later one that differs too, does not depend on it, and moves with other tensors; -1 where there is none.
     """
 
     def __init__(self, shape: tuple[int, int], axis: int, sloped: bool, device: torch.device) -> None:
@@ -69,21 +72,28 @@ class Causes(Signatures):
         self.branch = self.cause.new_zeros(self.pairs, 3)
         self.margin = torch.zeros(2, self.pairs, dtype=torch.float64, device=device)
         self.total: Tensor | None = None
+        self.differing = torch.zeros_like(self.cause)
         self.behind = torch.zeros(self.pairs, dtype=torch.bool, device=device)
+        self.rival = torch.full_like(self.cause, -1)
+        self._sites: dict[int, Site] = {}
 
-    def __call__(self, number: int, lanes: Lanes, moves: bool) -> None:
-        if not (moves or self.sloped):
+    def __call__(self, number: int, lanes: Lanes, site: Site) -> None:
+        if not (site.moves or self.sloped):
             return
         codes = lanes.codes()
-        if moves:
+        if site.moves:
             self.add(number, codes)
         laid = codes[: self.shape[0] * self.shape[1]].view(*self.shape, -1)
         size = self.shape[self.axis] - 1
         differs = (laid.narrow(self.axis, 0, size) != laid.narrow(self.axis, 1, size)).view(self.pairs, -1)
         # most points change nowhere: few operations on all of them
         new = (differs[:, 0] if differs.shape[1] == 1 else differs.any(1)).nonzero()[:, 0]
+        if site.moves and len(new):
+            self.differing[new] |= 1 << min(number, MANY)
+            if self.sloped:
+                self._rivals(number, site, new)
         new = new[self.cause[new] < 0]
-        if not moves:
+        if not site.moves:
             self.behind[new] = True
             return
         if len(new) == 0:
@@ -100,6 +110,13 @@ class Causes(Signatures):
             with torch.enable_grad():
                 self.total = margin.sum() if self.total is None else self.total + margin.sum()
 
+    def _rivals(self, number: int, site: Site, pairs: Tensor) -> None:
+        others = [k for k, s in self._sites.items() if s.tensors != site.tensors and not site.decisions >> k & 1]
+        self._sites[number] = site
+        if others:
+            found = pairs[torch.isin(self.cause[pairs], torch.tensor(others, device=pairs.device))]
+            self.rival[found] = number
+
 
 class Margins(Signatures):
     """A visitor: the margins `total` (N,) of the points' own causes, and the signatures."""
@@ -111,8 +128,8 @@ class Margins(Signatures):
         self.wanted = set(cause.unique().tolist())
         self.total = torch.zeros(len(cause), dtype=torch.float64, device=cause.device)
 
-    def __call__(self, number: int, lanes: Lanes, moves: bool) -> None:
-        super().__call__(number, lanes, moves)
+    def __call__(self, number: int, lanes: Lanes, site: Site) -> None:
+        super().__call__(number, lanes, site)
         if number in self.wanted:
             point = (self.cause == number).nonzero()[:, 0]
             with torch.set_grad_enabled(self.graph):
