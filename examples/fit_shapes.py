@@ -68,8 +68,10 @@ def fit(name: str, jumps: bool, steps: int) -> tuple[list[float], float]:
 for name in FITS:
     losses, moved = fit(name, jumps=True, steps=STEPS)
     print(f"{name}: loss " + ", ".join(f"{losses[k]:.2g}" for k in (0, 10, 20, 40, STEPS - 1)) + f", moved by {moved:.3g}")
+    assert losses[-1] < 0.01 * losses[0]
     with warnings.catch_warnings():
         # the layer says that no gradient reaches the parameters
         warnings.simplefilter("ignore", mcaa.McaaWarning)
         losses, moved = fit(name, jumps=False, steps=10)
     print(f"    without the boundary term: loss {losses[0]:.2g}, {losses[-1]:.2g}, moved by {moved:.3g}")
+    assert moved == 0

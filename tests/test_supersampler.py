@@ -189,6 +189,21 @@ class TestGradients:
         (whole,) = torch.autograd.grad(layer(f).sum(), radius)
         assert abs(float(whole) / (2 * torch.pi * 7) - 1) < 0.01
 
+    def test_a_slope_inside_f(self) -> None:
+        """As for a normal: f differentiates by its own points. Of (x - c)^2 in x: 2 (x - c), whose derivative in c is -2."""
+        centre = torch.tensor([3.0, 4.0], requires_grad=True)
+
+        def f(x: Tensor, y: Tensor) -> Tensor:
+            with torch.enable_grad():
+                places = torch.stack([x, y], -1).requires_grad_()
+                distance = (places - centre).square().sum(-1)
+                (slope,) = torch.autograd.grad(distance.sum(), places, create_graph=True)
+            return slope[..., 0]
+
+        mcaa.Supersampler(SIZE, estimator=mcaa.Shared())(f).sum().backward()
+        assert centre.grad is not None
+        torch.testing.assert_close(centre.grad, torch.tensor([-2.0 * SIZE[0] * SIZE[1], 0.0]), rtol=1e-4, atol=1e-4)
+
     def test_second_derivatives_are_refused(self) -> None:
         p = torch.tensor([0.7, 0.3, 1.1], requires_grad=True)
         (first,) = torch.autograd.grad(mcaa.Supersampler(SIZE)(waves(p)).sum(), p, create_graph=True)

@@ -46,8 +46,8 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
     """
     runs: list[_Noting] = []
     graphs: list[Sequence[Tensor]] = []
-    # nothing goes back through these graphs, so nothing is kept for it, and hooks that are set outside do not hear of it
-    with enable_grad(), saved_tensors_hooks(lambda tensor: None, lambda kept: kept):
+    # hooks that are set outside, such as a checkpoint's, are not to hear of this
+    with enable_grad(), saved_tensors_hooks(Tensor.detach, lambda kept: kept):
         for _ in range(2):
             runs.append(_Noting())
             graphs.append(replace(integrand, function=runs[-1].during(integrand.function))(x, y))

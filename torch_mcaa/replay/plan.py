@@ -74,7 +74,7 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
 
 def _program(task: Task) -> Program | None:
     """f's decisions, if it takes any."""
-    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: None, lambda kept: kept):
+    with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
         program = probe(task.integrand.function, task.screen, task.dtype, task.device)
     for problem in program.problems:
         warnings.warn(
