@@ -15,6 +15,7 @@ from torch import Tensor, enable_grad
 from torch.autograd.graph import Node, get_gradient_edge, saved_tensors_hooks
 from torch.overrides import TorchFunctionMode
 
+from torch_mcaa.edges.trace import eagerly
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
 
@@ -90,7 +91,7 @@ class _Noting(TorchFunctionMode):
 
     def during(self, f: Function) -> Function:
         def noted(x: Tensor, y: Tensor) -> object:
-            with self:
+            with eagerly(), self:
                 return f(x, y)
 
         return noted
