@@ -17,7 +17,8 @@ from torch_mcaa.replay.dependencies import Dependencies, check_reached
 
 _SAMPLES = 64
 """Evaluations a pixel of which `LINES` lines take a fifth."""
-_CELL = 256
+_CELL, _SEGMENTS = 256, 2**18
+"""Cells are as large as this, unless they would have more pixels of lines."""
 
 
 class OfJumps:
@@ -38,7 +39,10 @@ class OfJumps:
         """
         task, function = self.task, self.task.integrand.function
         problems: dict[str, None] = {}
-        for cell in task.screen.cells(_CELL, _CELL):
+        side = _CELL
+        while side > 32 and side * side * self.lines > _SEGMENTS:
+            side //= 2
+        for cell in task.screen.cells(side, side):
             met = elements(
                 function,
                 task.screen,
