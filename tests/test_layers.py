@@ -27,7 +27,9 @@ FLOORS = (
     {"estimators"},
     {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out", "replicates"},
     {"rounds"},
-    {"render"},
+    {"render", "replay"},
+    {"supersampler"},
+    {"warp"},
     {"image_io"},
     {"demo", "cli"},
 )

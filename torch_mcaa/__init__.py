@@ -32,8 +32,10 @@ from torch_mcaa.integrand import from_points
 from torch_mcaa.patterns import Independent, Jittered, Lattice, MultiJittered, Sobol
 from torch_mcaa.render import render
 from torch_mcaa.rendering import Rendering
+from torch_mcaa.supersampler import Supersampler
 from torch_mcaa.texture import Texture
 from torch_mcaa.tolerance import Tolerance
+from torch_mcaa.warp import resize, warp_affine, warp_perspective
 
 __version__ = "0.1.0"
 
@@ -69,6 +71,7 @@ __all__ = [
     "Sinc",
     "Sobol",
     "Stratified",
+    "Supersampler",
     "Tabulated",
     "Tent",
     "Texture",
@@ -78,4 +81,7 @@ __all__ = [
     "from_points",
     "level_set",
     "render",
+    "resize",
+    "warp_affine",
+    "warp_perspective",
 ]

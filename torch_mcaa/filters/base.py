@@ -27,6 +27,11 @@ class Filter(ABC):
     def absolute_integral(self) -> float:
         """∫∫|w|, at least 1. Raises McaaError where it diverges."""
 
+    @property
+    def learned(self) -> tuple[Tensor, ...]:
+        """Tensors that require a gradient and that w depends on, differentiably where grad mode is on."""
+        return ()
+
     @abstractmethod
     def __call__(self, dx: Tensor, dy: Tensor) -> Tensor:
         """w(dx, dy), in 1/px²."""

@@ -8,35 +8,58 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_mcaa.errors import McaaError
 from torch_mcaa.filters.base import SeparableFilter
 from torch_mcaa.filters.validation import LARGEST, pixels
 
+_RADIUS = 5
+"""Standard deviations."""
 
-@dataclass(frozen=True, init=False, repr=False)
+
+@dataclass(frozen=True, init=False, repr=False, eq=False)
 class Gaussian(SeparableFilter):
     """A normal density of standard deviation `std` along each axis, cut at `radius` (5 std) and renormalised.
 
-    Both in pixels. `sample` computes in float64 whatever u is. Raises McaaError for a `std` or a `radius`
-    outside [1e-6, 1e6].
+    Both in pixels. `sample` computes in float64 whatever u is. A `std` that is a tensor, such as a `torch.nn.Parameter`, is read at each
+    use: the filter is what the tensor says then, and `Supersampler` gives it a gradient. Raises McaaError for a `std` or a `radius`
+    outside [1e-6, 1e6], or a tensor of more than one number.
     """
 
-    std: float
-    _half_width: float
+    _std: float | Tensor
+    _radius: float | None
 
-    def __init__(self, std: float = 0.5, radius: float | None = None) -> None:
-        std = pixels("Gaussian", "std", std, "pass the standard deviation in pixels, such as 0.5")
-        if radius is None:
-            radius = min(5 * std, LARGEST)
-        radius = pixels("Gaussian", "radius", radius, "pass the half-width in pixels, or None for 5 std")
-        object.__setattr__(self, "std", std)
-        object.__setattr__(self, "_half_width", radius)
+    def __init__(self, std: float | Tensor = 0.5, radius: float | None = None) -> None:
+        if isinstance(std, Tensor):
+            if std.numel() != 1 or not std.is_floating_point():
+                raise McaaError(f"Gaussian: std must be one number, got a tensor of shape {tuple(std.shape)} and dtype {std.dtype}")
+        else:
+            std = _checked(std)
+        if radius is not None:
+            radius = pixels("Gaussian", "radius", radius, "pass the half-width in pixels, or None for 5 std")
+        object.__setattr__(self, "_std", std)
+        object.__setattr__(self, "_radius", radius)
+        _checked(self.std)
 
     def __repr__(self) -> str:
-        return f"Gaussian(std={self.std!r}, radius={self._half_width!r})"
+        return f"Gaussian(std={self.std!r}, radius={self.half_width!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Gaussian) and (self.std, self.half_width) == (other.std, other.half_width)
+
+    def __hash__(self) -> int:
+        return hash((Gaussian, self.std, self.half_width))
+
+    @property
+    def std(self) -> float:
+        return _checked(float(self._std.detach())) if isinstance(self._std, Tensor) else self._std
+
+    @property
+    def learned(self) -> tuple[Tensor, ...]:
+        return (self._std,) if isinstance(self._std, Tensor) and self._std.requires_grad else ()
 
     @property
     def half_width(self) -> float:
-        return self._half_width
+        return min(_RADIUS * self.std, LARGEST) if self._radius is None else self._radius
 
     @property
     def absolute_profile_integral(self) -> float:
@@ -48,7 +71,16 @@ class Gaussian(SeparableFilter):
         return math.erf(self.half_width / (self.std * math.sqrt(2)))
 
     def profile(self, d: Tensor) -> Tensor:
+        if self.learned and torch.is_grad_enabled():
+            return self._learned_profile(d)
         density = torch.exp(-0.5 * (d / self.std) ** 2) / (self.std * math.sqrt(2 * math.pi) * self._kept)
+        return torch.where(d.abs() <= self.half_width, density, 0)
+
+    def _learned_profile(self, d: Tensor) -> Tensor:
+        """The same with a gradient with respect to the standard deviation; its truncation moves with it and counts nothing (1e-4 at 5 std)."""
+        std = self.learned[0].to(d).reshape(())
+        kept = self._kept if self._radius is None else torch.erf(self._radius / (std * math.sqrt(2)))
+        density = torch.exp(-0.5 * (d / std) ** 2) / (std * math.sqrt(2 * math.pi) * kept)
         return torch.where(d.abs() <= self.half_width, density, 0)
 
     def profile_cdf(self, d: Tensor) -> Tensor:
@@ -60,3 +92,7 @@ class Gaussian(SeparableFilter):
         # moment is off by 1.5e-5. The double erfinv is no slower on CPUs.
         z = torch.erfinv((2 * u.double() - 1) * self._kept) * (self.std * math.sqrt(2))
         return z.clamp(-self.half_width, self.half_width).to(u.dtype), torch.ones_like(u)
+
+
+def _checked(std: object) -> float:
+    return pixels("Gaussian", "std", std, "pass the standard deviation in pixels, such as 0.5")

@@ -1,0 +1,138 @@
+"""What an integrand depends on: the tensors whose gradients a replayed evaluation of f can give.
+
+A closure does not say what it uses. f is run twice on a few points, and every argument of a PyTorch operation that requires a gradient is
+noted; what is noted in both runs was not made by f, so it comes from outside. The graph of f's values tells what operations that
+cannot be seen, such as custom ones and scripted code, have used beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from torch import Tensor, enable_grad
+from torch.autograd.graph import Node, get_gradient_edge, saved_tensors_hooks
+from torch.overrides import TorchFunctionMode
+
+from torch_mcaa.edges.trace import eagerly
+from torch_mcaa.errors import McaaError
+from torch_mcaa.integrand import Function, Integrand
+
+_SEVERING = {"item", "tolist", "__float__", "__int__", "__bool__", "__index__", "__complex__"}
+
+
+@dataclass(frozen=True)
+class Dependencies:
+    """Tensors outside f that it uses and that require a gradient.
+
+    Attributes:
+        tensors: all of them, each once.
+        smooth: whether f's values have a gradient, as far as autograd knows.
+        own: how many leaves of their graph f makes itself, as for a slope inside it.
+        severed: the methods by which f turns a tensor that requires a gradient into a number, where no gradient passes.
+    """
+
+    tensors: tuple[Tensor, ...]
+    smooth: bool
+    own: int
+    severed: frozenset[str] = frozenset()
+
+
+def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
+    """Find what f depends on at some points.
+
+    Raises:
+        McaaError: f uses a tensor that was computed from others outside it, in a way that cannot be seen.
+    """
+    runs: list[_Noting] = []
+    graphs: list[Sequence[Tensor]] = []
+    # hooks that are set outside, such as a checkpoint's, are not to hear of this
+    with enable_grad(), saved_tensors_hooks(Tensor.detach, lambda kept: kept):
+        for _ in range(2):
+            runs.append(_Noting())
+            graphs.append(replace(integrand, function=runs[-1].during(integrand.function))(x, y))
+    outside = {key: tensor for key, tensor in runs[0].noted.items() if key in runs[1].noted}
+    (nodes, leaves), (others, others_leaves) = (_walk(values, outside.values()) for values in graphs)
+    hidden = {node for node in nodes & others if not _is_leaf(node)}
+    if hidden:
+        raise McaaError(
+            f"f uses a tensor that was computed outside it ({', '.join(sorted(node.name() for node in hidden))}) in a custom operation or "
+            "scripted code, where it cannot be found; let f use it in an operation of PyTorch first, as in 1 * tensor"
+        )
+    common = {key: leaf for key, leaf in leaves.items() if key in others_leaves}
+    smooth = any(value.requires_grad for value in graphs[1])
+    return Dependencies(tuple({**outside, **common}.values()), smooth, len(others_leaves) - len(common), frozenset(runs[1].severed))
+
+
+def check_reached(values: Sequence[Tensor], known: Dependencies) -> None:
+    """Refuse values whose gradient would reach a tensor that is not known: it would be lost.
+
+    Raises:
+        McaaError: f uses a tensor here that it had not used before.
+    """
+    _, leaves = _walk(values, known.tensors)
+    if len(leaves) > known.own:
+        shapes = ", ".join(str(tuple(leaf.shape)) for leaf in leaves.values())
+        raise McaaError(
+            f"f uses tensors that require a gradient (of shape {shapes}) at some points and had not used them at the first ones it was "
+            "asked for; let it use the same tensors at each call, with weights of 0 where they do not matter"
+        )
+
+
+class _Noting(TorchFunctionMode):
+    """Notes arguments that require a gradient, and the methods that lose it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        # the tensors are held, so that no other gets an identity of theirs
+        self.noted: dict[int, Tensor] = {}
+        self.severed: set[str] = set()
+
+    def during(self, f: Function) -> Function:
+        def noted(x: Tensor, y: Tensor) -> object:
+            with eagerly(), self:
+                return f(x, y)
+
+        return noted
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        for argument in _tensors((args, kwargs or {})):
+            if argument.requires_grad:
+                self.noted[id(argument)] = argument
+                if getattr(func, "__name__", "") in _SEVERING:
+                    self.severed.add(func.__name__)
+        return func(*args, **(kwargs or {}))
+
+
+def _walk(values: Iterable[Tensor], stops: Iterable[Tensor]) -> tuple[set[Node], dict[int, Tensor]]:
+    """The nodes of the graph of the values as far as the tensors `stops`, and the leaves met beside those, by their identity."""
+    ends = {edge[:2] for edge in map(get_gradient_edge, stops)}
+    ahead = [edge[:2] for edge in (get_gradient_edge(value) for value in values if value.requires_grad)]
+    nodes: set[Node] = set()
+    leaves: dict[int, Tensor] = {}
+    while ahead:
+        edge = ahead.pop()
+        node = edge[0]
+        if edge in ends or node in nodes:
+            continue
+        nodes.add(node)
+        if _is_leaf(node):
+            leaf: Tensor = node.variable  # pyright: ignore[reportAttributeAccessIssue]
+            leaves[id(leaf)] = leaf
+        ahead.extend((following, number) for following, number in node.next_functions if following is not None)
+    return nodes, leaves
+
+
+def _is_leaf(node: Node) -> bool:
+    return node.name() == "torch::autograd::AccumulateGrad"
+
+
+def _tensors(tree: object) -> Iterable[Tensor]:
+    if isinstance(tree, Tensor):
+        yield tree
+    elif isinstance(tree, (tuple, list)):
+        for item in tree:
+            yield from _tensors(item)
+    elif isinstance(tree, dict):
+        yield from _tensors(tuple(tree.values()))

@@ -1,0 +1,109 @@
+"""The derivative of a loss with respect to all that a picture depends on, from its derivative with respect to the pixels.
+
+The samples are evaluated again, block by block, so that memory does not grow with their number: each block gives its part and goes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.program import Program
+from torch_mcaa.errors import McaaWarning
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.grid import Cell
+from torch_mcaa.patterns.lattice import Strip
+from torch_mcaa.replay.adjoint import Adjoint, norm, reach_of
+from torch_mcaa.replay.dependencies import Dependencies
+from torch_mcaa.replay.jumps import OfJumps
+from torch_mcaa.replay.moved import Moved
+from torch_mcaa.replay.samples import Samples, strip_of
+from torch_mcaa.replay.terms import Block, OfFilter, OfInputs, OfPlaces, Parts
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What the backward pass asks.
+
+    Attributes:
+        task: f, without the parameters in `moved`, on the screen; its seed is that of the backward's points.
+        spp: evaluations a pixel, those on lines that look for jumps included.
+        program: the decisions of f, if its jumps count.
+        inputs: what f depends on.
+        moved: the parameters of where f is asked.
+    """
+
+    task: Task
+    spp: int
+    program: Program | None
+    inputs: Dependencies
+    moved: Moved
+
+    @property
+    def parameters(self) -> tuple[Tensor, ...]:
+        """All that gradients are given for, in their order."""
+        return (*self.inputs.tensors, *self.task.filter.learned, *self.moved.parameters)
+
+    def gradients(self, grad: Tensor, value: Tensor) -> list[Tensor | None]:
+        """The derivatives with respect to `parameters`; None where there is none.
+
+        grad: (C, H, W), with respect to the picture; value: (C, H, W), the picture.
+
+        Raises:
+            McaaError: f raised, or uses tensors it had not used before.
+        """
+        task, filter, moved = self.task, self.task.filter, self.moved
+        grad = grad.detach().to(task.device, task.dtype)
+        totals: list[Tensor | None] = [None] * len(self.parameters)
+
+        def add(parts: Parts) -> None:
+            for index, part in enumerate(parts):
+                if part is not None:
+                    # sums over many blocks want more than half precision
+                    part, total = part.to(torch.promote_types(part.dtype, torch.float32)), totals[index]
+                    totals[index] = part if total is None else total + part
+
+        spp = self.spp
+        if self.program is not None:
+            jumps = OfJumps(task, self.program, self.inputs, spp)
+            for parts in jumps.parts(self._normed(grad, strip_of(task, spp))):
+                add(parts)
+            spp = max(-(-spp // 2), spp - -(-jumps.evaluations // (task.screen.height * task.screen.width)))
+        strip = strip_of(task, spp)
+        samples = Samples(task, strip, reach_of(filter))
+        grad = self._normed(grad, strip)
+        terms: list[Callable[[Block], Parts]] = []
+        if self.inputs.tensors:
+            terms.append(OfInputs(self.inputs, samples, Adjoint(filter, strip, task.dtype, task.device), grad))
+        if filter.learned:
+            terms.append(OfFilter(filter, samples, strip, grad, value, task.boundary == "renormalize"))
+        if moved.parameters:
+            terms.append(OfPlaces(moved, filter, samples, strip, grad, value))
+        for strips, planes in samples.blocks():
+            block = self._block(samples, strips, planes)
+            add([part for term in terms for part in term(block)])
+        count = len(self.inputs.tensors)
+        if count and all(total is None for total in totals[:count]):
+            warnings.warn(
+                "no gradient reaches what f uses: its values have no slope, and no edge that moves was met on the screen",
+                McaaWarning,
+                stacklevel=2,
+            )
+        return totals
+
+    def _normed(self, grad: Tensor, strip: Strip) -> Tensor:
+        return grad / norm(self.task, strip) if self.task.boundary == "renormalize" else grad
+
+    def _block(self, samples: Samples, strips: slice, planes: slice) -> Block:
+        task = self.task
+        col, row, inside = samples.places(strips, planes)
+        rows = int(row.min()), int(row.max())
+        asked = task.screen.coordinate_dtype(Cell(rows[0], samples.col, rows[1] - rows[0] + 1, samples.cols), task.dtype)
+        x, y = task.screen.x_of(col).to(asked), task.screen.y_of(row).to(asked)
+        with torch.enable_grad():
+            values = task.integrand(x.expand(len(row), *col.shape), y)
+        return Block(strips, planes, col, row, inside, values)

@@ -1,0 +1,71 @@
+"""What the jumps of f contribute to the derivatives as they move: the boundary term, met by lines along both axes."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.boundary import LINES, elements, surrogate
+from torch_mcaa.edges.program import Program
+from torch_mcaa.errors import McaaWarning
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.replay.adjoint import at_places
+from torch_mcaa.replay.dependencies import Dependencies, check_reached
+
+_SAMPLES = 64
+"""Evaluations a pixel of which `LINES` lines take a fifth."""
+_CELL, _SEGMENTS = 256, 2**18
+"""Cells are as large as this, unless they would have more pixels of lines."""
+
+
+class OfJumps:
+    """With respect to the tensors that f depends on.
+
+    The lines are some for each so many samples a pixel, and their evaluations count: `evaluations` has how many there were.
+    """
+
+    def __init__(self, task: Task, program: Program, inputs: Dependencies, spp: int) -> None:
+        self.task, self.program, self.inputs = task, program, inputs
+        self.lines = max(1, LINES * spp // _SAMPLES)
+        self.evaluations = 0
+
+    def parts(self, grad: Tensor) -> Iterator[tuple[Tensor | None, ...]]:
+        """The derivatives, for the gradient (C, H, W) of the pixels, cell by cell.
+
+        Warns (`McaaWarning`) of edges that had to be left out.
+        """
+        task, function = self.task, self.task.integrand.function
+        problems: dict[str, None] = {}
+        side = _CELL
+        while side > 32 and side * side * self.lines > _SEGMENTS:
+            side //= 2
+        for cell in task.screen.cells(side, side):
+            met = elements(
+                function,
+                task.screen,
+                cell,
+                task.filter,
+                task.seed,
+                self.lines,
+                closed=task.boundary != "extend",
+                program=self.program,
+                dtype=task.dtype,
+                device=task.device,
+                tally=self._counted,
+            )
+            problems |= dict.fromkeys(met.problems)
+            if not len(met):
+                continue
+            coefficient = met.weight * (at_places(task.filter, grad, met.col, met.row) * met.jump).sum(0)
+            term = surrogate(function, task.screen, met, coefficient)
+            if term.requires_grad:
+                check_reached([term], self.inputs)
+                yield torch.autograd.grad(term, self.inputs.tensors, allow_unused=True)
+        for problem in problems:
+            warnings.warn(f"{problem}; its part of the gradient is left out", McaaWarning, stacklevel=2)
+
+    def _counted(self, col: Tensor, row: Tensor) -> None:
+        self.evaluations += len(col)

@@ -1,0 +1,110 @@
+"""What the backward pass of a picture is to ask: found before the picture is made."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.program import Program, probe
+from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.integrand import Function
+from torch_mcaa.replay.adjoint import reach_of
+from torch_mcaa.replay.autocast import Autocast
+from torch_mcaa.replay.dependencies import dependencies
+from torch_mcaa.replay.gradients import Replay
+from torch_mcaa.replay.moved import Moved, is_continuous
+from torch_mcaa.texture import Texture
+
+_PROBED = 256
+_PROBE, _BACKWARD = 0x9806, 0xBAC4
+
+
+def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorrelate: bool, discontinuities: bool) -> Replay:
+    """The backward pass of the picture of `task`, whose f runs under `autocast`.
+
+    extent: the tensor that the screen's extent is from, if it is to have a gradient. decorrelate: points of its own.
+    discontinuities: jumps count too.
+
+    Warns (`McaaWarning`) where no gradient will reach what f uses, or a module's parameters.
+
+    Raises:
+        McaaError: see `Supersampler.forward`.
+    """
+    f, moved = _held(task, extent)
+    task = replace(task, integrand=replace(task.integrand, function=autocast.of(f)))
+    col, row = (rng.uniform(task.seed, _PROBE, axis, torch.arange(_PROBED), dtype=torch.float64) for axis in (0, 1))
+    x, y = task.screen.x_of(col * task.screen.width), task.screen.y_of(row * task.screen.height)
+    x, y = (t.to(task.device, task.dtype) for t in (x, y))
+    found = dependencies(task.integrand, x, y)
+    if isinstance(f, torch.nn.Module):
+        learned = {id(parameter) for parameter in f.parameters() if parameter.requires_grad}
+        if learned and not learned & {id(tensor) for tensor in found.tensors}:
+            warnings.warn(
+                f"f uses none of its {len(learned)} parameters that require a gradient: they get none", McaaWarning, stacklevel=5
+            )
+    program = None
+    # a texture's values do not jump as its texels change, and its transform, if it is not one of its tensors here, is in `moved`
+    if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
+        program = _program(task)
+    elif found.severed:
+        warnings.warn(
+            f"f turns a tensor that requires a gradient into a number by {', '.join(sorted(found.severed))}, and no gradient passes there; "
+            "let f use the tensor itself",
+            McaaWarning,
+            stacklevel=5,
+        )
+    elif found.tensors and not found.smooth:
+        warnings.warn(
+            "f's values have no gradient to the tensors that f uses, which decide between values at most: they get none; "
+            "use discontinuities='auto'",
+            McaaWarning,
+            stacklevel=5,
+        )
+    if decorrelate:
+        high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
+        task = replace(task, seed=high << 32 | low)
+    return Replay(task, spp, program, found, moved)
+
+
+def _program(task: Task) -> Program | None:
+    """f's decisions, if it takes any."""
+    with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
+        program = probe(task.integrand.function, task.screen, task.dtype, task.device)
+    for problem in program.problems:
+        warnings.warn(
+            f"{problem}; jumps there count nothing towards the gradient: say where they are by level_set(g), or use discontinuities=False",
+            McaaWarning,
+            stacklevel=6,
+        )
+    return program if program.sites else None
+
+
+def _asks(tensor: Tensor | None) -> bool:
+    """Whether a tensor is to get a gradient."""
+    return tensor is not None and tensor.requires_grad
+
+
+def _held(task: Task, extent: Tensor | None) -> tuple[Function, Moved]:
+    """f without parameters that say where it is asked, and those.
+
+    A filter that ends in a step has no slope that could stand for their derivative: a transform is then one of f's own tensors.
+    """
+    f, transform, filter = task.integrand.function, None, task.filter
+    smooth = is_continuous(filter)
+    if extent is not None and not smooth:
+        raise McaaError(
+            f"a gradient with respect to the extent needs a filter that goes to 0 at its sides, got {filter}; take Tent()"
+        )
+    if isinstance(f, Texture) and f.transform is not None and _asks(f.transform) and smooth:
+        transform, f = f.transform, copy.copy(f)
+        f.transform = transform.detach()
+    moved = Moved(task.screen, extent, transform)
+    if moved.parameters:
+        moved.check(task.boundary, reach_of(filter))
+    return f, moved
