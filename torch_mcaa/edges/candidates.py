@@ -33,7 +33,7 @@ class Segments:
         least: (C, S) the change of a part, in each channel, from which on it may hold a jump; +inf in channels that do not stand out.
         phase: (S,) where on the line its samples lie, modulo 1.
         key: int64 (S, 3), line, row and column: what random numbers hang on.
-        single: bool (S,), one sample alone is between this segment and a next: perhaps a thin piece.
+        single: bool (S,), one sample alone is between this segment and a next, which changes back: perhaps a thin piece.
         quiet: (S,) -1 or 1, the side on which the next segment shows no jump, 0 where there is none.
     """
 
@@ -110,7 +110,10 @@ def candidates(samples: Samples, axis: int) -> Segments:
     near = differences.beside(flat, torch.tensor([-1, 1], device=size.device))
     beside = size[:, near.clamp_min(0)].masked_fill(near < 0, torch.inf)
     own = size[:, flat]
-    single = ((own > 0) & (beside.amax(2) > _FOLLOWED * own)).any(0)
+    # a sample inside a steep step goes on in the same direction
+    start, end = (value.unflatten(1, near.shape) for value in differences.ends(near.clamp_min(0).flatten()))
+    back = ((end - start) * (after - before)[..., None] < 0) | (near < 0)
+    single = ((own > 0)[..., None] & (beside > _FOLLOWED * own[..., None]) & back).any(2).any(0)
     still = (beside == 0).all(0)
     quiet = torch.where(still[:, 0], -1, still[:, 1].long())
     line, row, col = differences.place(flat)

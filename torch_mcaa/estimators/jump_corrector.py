@@ -151,7 +151,8 @@ class Corrector:
         finer_value, finer_variance = (coarse.pixels.of(core.pixels, one, 0.0) for one in finer)
         # thin pieces with tips may have been lost on one of the finer lattices
         fine = fine & (finer_variance <= variance).all(0)
-        return _of(coarse, torch.where(fine, finer_value, value), torch.where(fine, finer_variance, variance), fine)
+        variance = _beyond(coarse, torch.where(fine, finer_variance, variance), fine)
+        return _of(coarse, torch.where(fine, finer_value, value), variance, fine)
 
     def _planned(self, found: list[Segments], wanted: Tensor) -> tuple[Axes, Tensor]:
         """How exactly to bisect, and which blocks, so that two shifts can be paid for: the axes, and the pixels still wanted."""
@@ -197,17 +198,21 @@ def _of(level: Level, value: Tensor, variance: Tensor | None, fine: Tensor) -> C
 def _merged(first: Level, second: Level) -> tuple[Tensor, Tensor]:
     """The mean of two shifts in the first's core, and its variance, pooled over neighbours there and with that of the brackets as a floor.
 
-    Elsewhere the first shift's, and the pooled variance of the core around.
+    Elsewhere the first shift's, and the variance of the core around.
     """
     core, pixels = first.core, first.pixels
     other, doubt = (pixels.of(second.pixels, values, 0.0) for values in (second.value, second.spread))
     squared = torch.where(core, (first.value - other).square() / 4, 0)
-    weight = core.to(torch.float64)
-    pooled = pixels.summed(squared) / pixels.summed(weight).clamp_min(1e-9)
-    around = pooled * core
-    for _ in range(2):
-        around, weight = pixels.summed(around), pixels.summed(weight)
-    outside = around / weight.clamp_min(1e-9)
+    pooled = pixels.summed(squared) / pixels.summed(core.to(torch.float64)).clamp_min(1e-9)
     value = torch.where(core, (first.value + other) / 2, first.value)
     brackets = torch.where(core, (first.spread + doubt) / 4, first.spread)
-    return value, torch.where(core, torch.maximum(pooled, squared), outside) + brackets
+    return value, _beyond(first, torch.maximum(pooled, squared) + brackets, torch.zeros_like(core))
+
+
+def _beyond(level: Level, variance: Tensor, known: Tensor) -> Tensor:
+    """The variance, that of the core around in the pixels that are neither in it nor `known`: one shift does not tell theirs."""
+    pixels, weight = level.pixels, level.core.to(torch.float64)
+    around = variance * weight
+    for _ in range(2):
+        around, weight = pixels.summed(around), pixels.summed(weight)
+    return torch.where(level.core | known, variance, around / weight.clamp_min(1e-9) + level.spread)
