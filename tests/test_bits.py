@@ -54,7 +54,7 @@ def test_order_of_work_does_not_change_a_bit(chosen: mcaa.Auto, boundary: str):
     picture = mcaa.render(f, size, estimator=chosen, boundary=boundary, spp=7, seed=5)  # type: ignore[arg-type]
     task = task_of(f, Screen.of(size), mcaa.Gaussian(0.5), boundary, "raise", 5, torch.float32, None)
     with torch.no_grad():
-        for cell in reversed(list(task.screen.cells(*chosen.cell(task, False)))):
+        for cell in reversed(list(task.screen.cells(*chosen.cell(task, 16, False)))):
             estimate = chosen.round(task, 7, 0).estimate(cell)
             assert torch.equal(estimate.value, picture.image[(slice(None), *cell.window)])
             assert torch.equal(estimate.variance.sqrt(), picture.stderr[(slice(None), *cell.window)])

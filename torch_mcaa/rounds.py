@@ -61,7 +61,7 @@ class Rounds:
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
-        size = self.estimator.cell(self.task, adaptive)
+        size = self.estimator.cell(self.task, self.spp, adaptive)
         # a part of a picture under an endless filter takes the samples of all of it
         cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
         self._side = _BLOCK if cut else max(size)

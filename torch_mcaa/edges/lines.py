@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+_AT_ONCE = 1 << 21
+"""Weighed samples held at a time."""
 Ask = Callable[[Tensor, Tensor], Tensor]
 """f at float64 screen columns and rows (N,): its values (C, N)."""
 
@@ -170,13 +172,20 @@ def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tenso
     """
     wx, wy = (taps(profile, place, reach) for place in (samples.x, samples.y))
     offsets = torch.arange(-reach, reach + 1, device=rows.device)
+    weight = (wy.T[:, None] * wx.T).flatten(1)
+    size = max(1, _AT_ONCE // weight.shape[1])
+    parts = [_sums(samples, weight, offsets, *part) for part in zip(rows.split(size), cols.split(size), strict=True)]
+    return torch.cat(parts, 1) / norm(samples, profile, reach)
+
+
+def _sums(samples: Scattered, weight: Tensor, offsets: Tensor, rows: Tensor, cols: Tensor) -> Tensor:
+    """(C, N): the sums over the samples of the pixels around each, times the weights (taps, taps x n)."""
     columns = (cols - samples.col)[:, None] + offsets
     total = torch.zeros(len(samples.values), len(rows), dtype=torch.float64, device=rows.device)
-    weight = (wy.T[:, None] * wx.T).flatten(1)
     for k, offset in enumerate(offsets.tolist()):
         # the samples of one row of pixels
         near = samples.slot[(rows - samples.row + offset)[:, None], columns]
         for channel, values in enumerate(samples.values):
             # no product of matrices: its last bits may depend on the number of threads
             total[channel] += (values[near].flatten(1) * weight[k]).sum(1)
-    return total / norm(samples, profile, reach)
+    return total

@@ -18,7 +18,7 @@ from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
-from torch_mcaa.estimators.parts import MODELS, Part, Parts, located
+from torch_mcaa.estimators.parts import MODELS, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
@@ -80,10 +80,10 @@ class Auto(Estimator):
             return Shared().bias(task)
         return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task))
 
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+    def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         if not _can_locate(task):
-            return Shared().cell(task, adaptive)
-        return (128, 128) if adaptive else (512, 512)
+            return Shared().cell(task, spp, adaptive)
+        return cell_of(spp, adaptive)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         if spp < _FEWEST or not _can_locate(task):

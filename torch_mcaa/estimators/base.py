@@ -124,8 +124,8 @@ class Estimator(ABC):
         return ()
 
     @abstractmethod
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
-        """(height, width) of the canonical cells; smaller where the number of evaluations may differ between cells."""
+    def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
+        """(height, width) of the canonical cells for `spp` evaluations a pixel; smaller where these may differ between cells."""
 
     @abstractmethod
     def round(self, task: Task, spp: int, number: int) -> Round:

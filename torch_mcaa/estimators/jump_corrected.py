@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.auto import AutoRound
 from torch_mcaa.estimators.base import Estimator, Round, Task
-from torch_mcaa.estimators.parts import MODELS, located
+from torch_mcaa.estimators.parts import MODELS, cell_of, located
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.patterns import Lattice
 
@@ -65,8 +65,8 @@ class JumpCorrected(Estimator):
     def bias(self, task: Task) -> tuple[str, ...]:
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)
 
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
-        return (128, 128) if adaptive else (512, 512)
+    def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
+        return cell_of(spp, adaptive)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         return AutoRound(task, spp, number, plain=False)

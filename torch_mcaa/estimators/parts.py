@@ -29,6 +29,7 @@ _FEWEST = 3
 """Lines."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
+_SAMPLES = 1 << 23
 _CLASSES = 3
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
@@ -37,6 +38,14 @@ _SMALL = 1e-4
 def located(model: Tensor) -> bool:
     """Whether jumps were located in any pixel."""
     return bool(((model == LOCATED) | (model == FINER)).any())
+
+
+def cell_of(spp: int, adaptive: bool) -> tuple[int, int]:
+    """The cells of estimators that keep a cell's samples: fewer pixels where each has many."""
+    side = 512
+    while side > 128 and (adaptive or side * side * spp > _SAMPLES):
+        side //= 2
+    return side, side
 
 
 def lines_for(spp: float) -> int:

@@ -146,7 +146,7 @@ class Pixelwise(Estimator):
             return (f"combine='pooled': the pilot chose the numbers of evaluations that weigh it ({self.allocation})",)
         return ()
 
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+    def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         # with an allocation, cells large enough that pixels of one count are many
         return (32, 32) if adaptive else (64, 64) if isinstance(self.allocation, Uniform) else (256, 256)
 

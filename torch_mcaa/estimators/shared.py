@@ -50,7 +50,7 @@ class Shared(Estimator):
     def bias(self, task: Task) -> tuple[str, ...]:
         return ("the weights of shared points are divided by their sum, a ratio: the bias is small beside the standard error",)
 
-    def cell(self, task: Task, adaptive: bool) -> tuple[int, int]:
+    def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         if math.isinf(max(task.filter.radius)):
             return task.screen.height, task.screen.width
         if not isinstance(self.pattern, Lattice):
