@@ -26,6 +26,7 @@ FLOORS = (
     {"edges"},
     {"estimators"},
     {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out", "replicates"},
+    {"history"},
     {"rounds"},
     {"render", "replay"},
     {"supersampler"},

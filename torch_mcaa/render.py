@@ -144,7 +144,7 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         ess=None if diagnostics is None else diagnostics.ess,
         pareto_k=None if diagnostics is None else diagnostics.pareto_k,
         predicted_optimum=work.predicted_optimum,
-        floors=tuple((work.cells[index], floor.sqrt()) for index, floor in work.unseen.items()),
+        floors=tuple((had.cell, had.unseen.sqrt()) for had in work.histories if had.unseen is not None),
     )
 
 

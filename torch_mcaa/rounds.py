@@ -15,10 +15,10 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators import Estimate, Estimator, Pixelwise, PixelwiseRound, Round, Task
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.grid import Cell
-from torch_mcaa.picture import add, blank, part_of
+from torch_mcaa.history import History
+from torch_mcaa.picture import blank, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
-from torch_mcaa.replicates import Latest, agreed
 from torch_mcaa.sharing_out import shared_out
 from torch_mcaa.tolerance import Tolerance
 
@@ -46,18 +46,13 @@ class Rounds:
     tolerance: Tolerance | None
     deadline: float | None
     bar: Progress
-    cells: list[Cell] = field(init=False)
-    weights: list[float] = field(init=False)
-    sizes: list[float] = field(init=False)
+    histories: list[History] = field(init=False)
     number: int = field(default=0, init=False)
     predicted_optimum: float | None = field(default=None, init=False)
     heavy: list[tuple[Cell, Tensor]] = field(default_factory=list, init=False)
-    unseen: dict[int, Tensor] = field(default_factory=dict, init=False)
     model: Tensor | None = field(default=None, init=False)
     _picture: Estimate | None = field(default=None, init=False)
     _spent: float = field(default=0.0, init=False)
-    _latest: dict[int, Latest] = field(default_factory=dict, init=False)
-    _blind: dict[int, Tensor | None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         adaptive = self.tolerance is not None or self.deadline is not None
@@ -66,13 +61,11 @@ class Rounds:
         cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
         self._side = _BLOCK if cut else max(size)
         self._areas: list[tuple[Cell, int]] = []
-        self.cells = []
+        self.histories = []
         for area in self.task.screen.cells(*size):
             blocks = area.blocks(self._side)
             self._areas.append((area, len(blocks)))
-            self.cells += blocks
-        self.weights, self.sizes, self._kept = ([0.0] * len(self.cells) for _ in range(3))
-        self._counts = [0] * len(self.cells)
+            self.histories += map(History, blocks)
         chosen = self.estimator
         self.allocated = isinstance(chosen, Pixelwise) and not isinstance(chosen.allocation, Uniform)
         self.single = not adaptive and (not self.allocated or self._known is not None)
@@ -102,7 +95,7 @@ class Rounds:
         expected to need, else for all that are left; or it shares out as many by the estimator's allocation.
         """
         pixels = self.task.screen.height * self.task.screen.width
-        asked = dict.fromkeys(range(len(self.cells)), self.pilot)
+        asked = dict.fromkeys(range(len(self.histories)), self.pilot)
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
             rounds: dict[int, Round] = {}
@@ -118,7 +111,7 @@ class Rounds:
                     return "seconds"
                 found = rounds[each].estimate(part)
                 for index in inside:
-                    self._add(index, part_of(found, part, self.cells[index]), rounds[each].per_pixel)
+                    self._add(index, part_of(found, part, self.histories[index].cell), rounds[each].per_pixel)
                 done += len(inside)
                 self.bar.update(min(1.0, (self._spent / pixels) / self.spp) if self.number else done / len(asked))
             self.number += 1
@@ -150,7 +143,8 @@ class Rounds:
         return {index: int(wanted[index] * share) for index in active if int(wanted[index] * share) >= least}
 
     def _pixels(self, index: int) -> int:
-        return self.cells[index].height * self.cells[index].width
+        cell = self.histories[index].cell
+        return cell.height * cell.width
 
     def _needed(self, index: int) -> int:
         """What a cell is expected to need more, on a grid of numbers, so that neighbours ask alike.
@@ -159,11 +153,11 @@ class Rounds:
         variance falls with the fourth power of.
         """
         assert self.tolerance is not None and self._picture is not None
-        had = self.sizes[index]
-        excess = self._excess(index)
-        if self._located(index):
+        history, excess = self.histories[index], self._excess(index)
+        had = history.points
+        if history.located:
             # of the next one all that is asked is what two rounds have to show
-            excess *= (_FEW_SHIFTS[1] / _FEW_SHIFTS[self._counts[index] > 1]) ** 2
+            excess *= (_FEW_SHIFTS[1] / _FEW_SHIFTS[history.rounds > 1]) ** 2
             more = had * min(_GROWTH_LOCATED, _SURE * excess**0.25)
         else:
             more = had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)
@@ -211,76 +205,25 @@ class Rounds:
         return getattr(self.estimator.allocation, "known", None) if isinstance(self.estimator, Pixelwise) else None
 
     def _add(self, index: int, new: Estimate, points: float) -> None:
-        """Merge a round into the picture, by default with weights fixed by the rounds' sizes alone, so that no value chooses its weight.
-
-        n^1.5 is the inverse variance of a shared pattern on edges. An estimator that chooses its model is weighed with the inverse of the
-        cell's mean variance, which may fall by orders of magnitude once jumps are located, or a lattice is fine enough for a smooth f;
-        one weight for so many pixels depends on none of them.
-        """
-        cell = self.cells[index]
+        """Merge a round of so many evaluations a pixel into the picture."""
+        had = self.histories[index]
         if self._picture is None:
             self._picture = blank(self.task, len(new.value), new.diagnostics is not None)
-        window = (slice(None), *cell.window)
-        if new.model is not None:
-            points = float(new.points.to(torch.float64).mean())
-        replicated = new.diagnostics is None and new.value[0].numel() >= MANY and self.tolerance is not None
-        latest = self._latest.get(index)
-        if latest is not None and latest.outgrows(new.value, self._picture.value[window]):
-            self._picture.value[window], self._picture.variance[window] = latest.found.value, latest.found.variance
-            self.weights[index], self._kept[index] = latest.weight, latest.points
-            self._blind[index] = latest.found.blind
-            if latest.found.unseen is not None:
-                self.unseen[index] = latest.found.unseen
-        old, had = self.weights[index], self._kept[index]
-        weight = points**1.5
-        if new.model is not None and new.value[0].numel() >= MANY:
-            told = new.variance[new.variance.isfinite()].to(torch.float64)
-            weight = 1 / max(1e-300, float(told.mean())) if len(told) else 1e-300
-            if had and new.blind is None and not self._located(index):
-                # a finer lattice that sees more than those before it has met what they missed
-                weight = max(weight, old * (points / had) ** 1.5)
-        combine = self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed"
-        share: float | Tensor | None = weight / (old + weight)
-        if old == 0 or combine == "discard_pilot":
-            share = None
-        elif combine == "pooled":
-            share = new.points / (new.points + self._picture.points[cell.window])
-        difference = new.value - self._picture.value[window]
-        add(self._picture, cell, new, share, self.task.integrand.nonfinite == "propagate")
+        had.merge(
+            self._picture,
+            new,
+            points,
+            combine=self.estimator.combine if isinstance(self.estimator, Pixelwise) else "fixed",
+            propagate=self.task.integrand.nonfinite == "propagate",
+            compared=self.tolerance is not None,
+            located=new.model is not None and self.estimator.locates(new.model),
+        )
         if new.heavy is not None:
-            self.heavy.append((cell, new.heavy))
-        if new.unseen is not None:
-            before = self.unseen.get(index)
-            if before is not None and isinstance(share, float):
-                self.unseen[index] = before * (1 - share) ** 2 + new.unseen * share**2
-            else:
-                self.unseen[index] = new.unseen
-        if share is not None and replicated:
-            floor = self.unseen.get(index, 0.0)
-            doubted = not self._located(index) and (new.model is None or not self.estimator.locates(new.model))
-            parts = [
-                blind * part**2 for blind, part in ((self._blind.get(index), 1 - share), (new.blind, share)) if blind is not None
-            ]
-            self._blind[index] = sum(parts[1:], parts[0]) if parts else None
-            reported = (self._picture.variance[window] - floor).clamp_min(0)
-            self._picture.variance[window] = (
-                agreed(difference, reported, points**1.5 / (had**1.5 + points**1.5), self._blind[index], doubted) + floor
-            )
+            self.heavy.append((had.cell, new.heavy))
         if new.model is not None:
             if self.model is None:
                 self.model = torch.zeros_like(self._picture.points, dtype=torch.uint8)
-            self.model[cell.window] = new.model
-        self.weights[index] = old + weight
-        if share is not None and replicated and new.model is not None:
-            told = self._picture.variance[window]
-            self.weights[index] = min(old + weight, 1 / max(1e-300, float(told[told.isfinite()].mean(dtype=torch.float64))))
-        self.sizes[index] += points
-        self._kept[index] += points
-        self._counts[index] += 1
-        if replicated:
-            if share is None:
-                self._blind[index] = new.blind
-            self._latest[index] = Latest(new, points, weight)
+            self.model[had.cell.window] = new.model
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
@@ -289,19 +232,19 @@ class Rounds:
     def _excess(self, index: int) -> float:
         """A cell's largest variance in parts of what is allowed, where it is told by two shifts at a few pixels with Student's quantile."""
         assert self.tolerance is not None
-        excess = self.tolerance.excess(*self._seen(index))
-        return _FEW_SHIFTS[self._counts[index] > 1] ** 2 * excess if self._located(index) else excess
-
-    def _located(self, index: int) -> bool:
-        return self.model is not None and self.estimator.locates(self.model[self.cells[index].window])
+        history, excess = self.histories[index], self.tolerance.excess(*self._seen(index))
+        return _FEW_SHIFTS[history.rounds > 1] ** 2 * excess if history.located else excess
 
     def _seen(self, index: int) -> tuple[Tensor, Tensor]:
         """A cell's values, and their variances without the floor for the unseen, which no number of samples would end."""
         assert self._picture is not None
-        window = (slice(None), *self.cells[index].window)
+        history = self.histories[index]
+        window = (slice(None), *history.cell.window)
         value, variance = self._picture.value[window], self._picture.variance[window]
-        # of few pixels the floor is all that is known
-        return value, (variance - self.unseen.get(index, 0.0)).clamp_min(0) if value[0].numel() >= MANY else variance
+        if history.unseen is None or value[0].numel() < MANY:
+            # of few pixels the floor is all that is known
+            return value, variance
+        return value, (variance - history.unseen).clamp_min(0)
 
     def picture(self) -> Estimate:
         """The picture so far; all NaN, in one channel, if not even one cell was done."""
