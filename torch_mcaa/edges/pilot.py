@@ -17,6 +17,8 @@ _PILOT = 0x91107
 _FINEST = 2.0**-8
 _STEEP = 1 / 4
 """Px: a continuous step no wider than this is treated as a jump, or several."""
+_SIDES = 5
+"""Continuous steps that a part of the screen must show along an axis to be one edge."""
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
 _FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
@@ -131,7 +133,9 @@ class _Look:
         """Which segments hold a jump of over half their change, or a step that is treated as some."""
         has = torch.zeros(len(self.where), dtype=torch.bool, device=self.where.device)
         has[crossings.segment[self._steep(crossings)]] = True
-        return has | _steep(self.some, crossings, self.where, parts)
+        # a peak's sides are steep, too, as wide as what is between them, and few
+        steep = _steep(self.some, crossings, self.where, parts) & ~self.some.single
+        return has | (steep & (torch.bincount(self.where[steep], minlength=parts) >= _SIDES)[self.where])
 
     def _steep(self, crossings: Crossings) -> Tensor:
         return crossings.jump.abs().amax(0) > 0.5 * self.size[crossings.segment]
