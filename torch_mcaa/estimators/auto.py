@@ -132,7 +132,7 @@ class AutoRound(Round):
         audits = 0 if self.plain else pixels
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
-        plans = plans_of(cell, judged, texture, spread, ask.left - audits, self.plain, second, self.most or 0)
+        plans = plans_of(cell, judged, texture, ask.left - audits, self.plain, second, self.most or 0)
         jumping = _jumping(cell, judged)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]

@@ -44,14 +44,12 @@ class Plan:
     lines: int
     steps: int
     cost: float
-    spread: float
 
 
 def plans_of(
     cell: Cell,
     judged: Judged,
     texture: Tensor,
-    spread: Tensor,
     budget: int,
     plain: bool,
     second: int,
@@ -82,7 +80,6 @@ def plans_of(
             labels[inside[0]],
             steps,
             sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
-            float(spread[inside].mean()),
         )
         for part, inside in cell.rectangles(BLOCK, labels)
     ]
