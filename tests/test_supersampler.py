@@ -380,3 +380,17 @@ class TestBadInput:
             layer(lambda x, y: x * weight.mul_(2))
         with pytest.warns(McaaWarning, match="parameter's value out of PyTorch"):
             layer(lambda x, y: x * weight.item())
+
+
+def test_a_change_in_place_that_spoils_a_derivative_is_said() -> None:
+    """hypot's derivative needs its value, which -= has changed."""
+    radius = torch.tensor(8.0, requires_grad=True)
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        r = torch.hypot(x - 8, y - 8)
+        r -= radius
+        return (r < 0).to(x)
+
+    layer = mcaa.Supersampler((16, 16), estimator=mcaa.Shared(), spp=32)
+    with pytest.raises(mcaa.McaaError, match="in place"):
+        layer(f).sum().backward()

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.asked import AT_ONCE, Asked
+from torch_mcaa.edges.derivatives import derivatives
 from torch_mcaa.edges.scan import Brackets, Segments, joined
 from torch_mcaa.edges.visitors import MANY, Causes, Margins
 
@@ -245,7 +246,7 @@ def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
     """(2, N): the derivatives of the margins along columns and rows, 0 where there is none."""
     if total is None or not total.requires_grad:
         return torch.zeros(2, len(col), dtype=col.dtype, device=col.device)
-    slopes = torch.autograd.grad(total, (col, row), allow_unused=True)
+    slopes = derivatives((total,), (col, row))
     return torch.stack([torch.zeros_like(col) if slope is None else slope for slope in slopes]).nan_to_num(0.0, 0.0, 0.0)
 
 

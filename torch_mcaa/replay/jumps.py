@@ -5,10 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 
-import torch
 from torch import Tensor
 
 from torch_mcaa.edges.boundary import LINES, elements, surrogate
+from torch_mcaa.edges.derivatives import derivatives
 from torch_mcaa.edges.program import Program
 from torch_mcaa.errors import McaaWarning
 from torch_mcaa.estimators.base import Task
@@ -63,7 +63,7 @@ class OfJumps:
             term = surrogate(function, task.screen, met, coefficient)
             if term.requires_grad:
                 check_reached([term], self.inputs)
-                yield torch.autograd.grad(term, self.inputs.tensors, allow_unused=True)
+                yield derivatives((term,), self.inputs.tensors)
         for problem in problems:
             warnings.warn(f"{problem}; its part of the gradient is left out", McaaWarning, stacklevel=2)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_mcaa.edges.derivatives import derivatives
 from torch_mcaa.filters import Filter
 from torch_mcaa.patterns.lattice import Strip
 from torch_mcaa.replay.adjoint import Adjoint
@@ -55,7 +56,7 @@ class OfInputs:
         coefficient = self.adjoint(self.samples.band(self.grad, block.strips)[live], block.planes)
         if block.inside is not None:
             coefficient = coefficient * block.inside
-        return torch.autograd.grad(values, self.inputs.tensors, list(coefficient), allow_unused=True)
+        return derivatives(values, self.inputs.tensors, list(coefficient))
 
 
 class OfFilter:

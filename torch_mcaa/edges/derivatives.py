@@ -1,0 +1,28 @@
+"""Derivatives of what f returned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.errors import McaaError
+
+
+def derivatives(
+    outputs: Sequence[Tensor], inputs: Sequence[Tensor], weights: Sequence[Tensor] | None = None
+) -> tuple[Tensor | None, ...]:
+    """Of the sum of the outputs, or of their products with `weights`, by each input; None for one that is not reached.
+
+    Raises:
+        McaaError: f changes in place what its own derivative needs.
+    """
+    try:
+        return torch.autograd.grad(outputs, inputs, weights, allow_unused=True)
+    except RuntimeError as error:
+        if "inplace" not in str(error):
+            raise
+        raise McaaError(
+            f"f changes a tensor in place whose value its derivative needs: {error}; write r = r - p in the place of r -= p"
+        ) from error
