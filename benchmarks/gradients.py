@@ -16,10 +16,10 @@ from jumping import FILTERED, MORE, SIZE, TABLE, THIN, Case
 from torch import Tensor
 
 import torch_mcaa as mcaa
-from torch_mcaa.edges.boundary import LINES, Elements, elements, margins, splat
 from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
+from torch_mcaa.traced.boundary import LINES, Elements, elements, margins, splat
 
 EVALUATIONS = 64
 

@@ -23,7 +23,7 @@ FLOORS = (
     {"rng", "moments", "allocation"},
     {"grid", "filters", "patterns", "strata"},
     {"densities", "integrand", "texture", "scenes"},
-    {"edges"},
+    {"edges", "traced"},
     {"estimators"},
     {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out", "replicates"},
     {"history"},

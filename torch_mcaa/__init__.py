@@ -2,8 +2,6 @@
 
 from torch_mcaa.allocation import EqualVariance, Neyman, Uniform
 from torch_mcaa.densities import FilterDensity, Histogram, Mixture, Normal
-from torch_mcaa.edges.audit import check_discontinuities
-from torch_mcaa.edges.decisions import level_set
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators import (
     AdaptiveImportance,
@@ -35,6 +33,8 @@ from torch_mcaa.rendering import Rendering
 from torch_mcaa.supersampler import Supersampler
 from torch_mcaa.texture import Texture
 from torch_mcaa.tolerance import Tolerance
+from torch_mcaa.traced.audit import check_discontinuities
+from torch_mcaa.traced.decisions import level_set
 from torch_mcaa.warp import resize, warp_affine, warp_perspective
 
 __version__ = "0.1.0"

@@ -1,1 +1,1 @@
-"""Where f jumps: on lines, from its values alone or by the decisions it takes; what that corrects in values, and adds to gradients."""
+"""Where f jumps along horizontal and vertical lines, found from its values alone, and what that corrects in a sum over samples."""

@@ -15,9 +15,9 @@ from torch import Tensor, enable_grad
 from torch.autograd.graph import Node, get_gradient_edge, saved_tensors_hooks
 from torch.overrides import TorchFunctionMode
 
-from torch_mcaa.edges.trace import eagerly
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
+from torch_mcaa.traced.trace import eagerly
 
 _SEVERING = {"item", "tolist", "__float__", "__int__", "__bool__", "__index__", "__complex__"}
 

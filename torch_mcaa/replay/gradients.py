@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.program import Program
 from torch_mcaa.errors import McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
@@ -23,6 +22,7 @@ from torch_mcaa.replay.jumps import OfJumps
 from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples, strip_of
 from torch_mcaa.replay.terms import Block, OfFilter, OfInputs, OfPlaces, Parts
+from torch_mcaa.traced.program import Program
 
 
 @dataclass(frozen=True)

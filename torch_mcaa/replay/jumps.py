@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 from torch import Tensor
 
-from torch_mcaa.edges.boundary import LINES, elements, surrogate
-from torch_mcaa.edges.derivatives import derivatives
-from torch_mcaa.edges.program import Program
 from torch_mcaa.errors import McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.replay.adjoint import at_places
 from torch_mcaa.replay.dependencies import Dependencies, check_reached
+from torch_mcaa.traced.boundary import LINES, elements, surrogate
+from torch_mcaa.traced.derivatives import derivatives
+from torch_mcaa.traced.program import Program
 
 _SAMPLES = 64
 """Evaluations a pixel of which `LINES` lines take a fifth."""

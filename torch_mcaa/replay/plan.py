@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.program import Program, probe
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.integrand import Function
@@ -20,6 +19,7 @@ from torch_mcaa.replay.dependencies import dependencies
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.moved import Moved, is_continuous
 from torch_mcaa.texture import Texture
+from torch_mcaa.traced.program import Program, probe
 
 _PROBED = 256
 _PROBE, _BACKWARD = 0x9806, 0xBAC4

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.derivatives import derivatives
 from torch_mcaa.filters import Filter
 from torch_mcaa.patterns.lattice import Strip
 from torch_mcaa.replay.adjoint import Adjoint
 from torch_mcaa.replay.dependencies import Dependencies, check_reached
 from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples
+from torch_mcaa.traced.derivatives import derivatives
 
 Parts = Sequence[Tensor | None]
 

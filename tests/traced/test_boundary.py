@@ -11,9 +11,9 @@ from jumping import FILTERED, MORE, SIZE, TABLE, THIN, Case
 from torch import Tensor
 
 import torch_mcaa as mcaa
-from torch_mcaa.edges.boundary import boundary_term, elements, splat, surrogate
-from torch_mcaa.edges.once import zero_with_gradient
 from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.traced.boundary import boundary_term, elements, splat, surrogate
+from torch_mcaa.traced.once import zero_with_gradient
 
 SCREEN = Screen.of(SIZE)
 CELL = Cell(0, 0, *SIZE)

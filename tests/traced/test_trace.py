@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.asked import Asked
-from torch_mcaa.edges.program import Program, probe
-from torch_mcaa.edges.trace import Traced, Watch
-from torch_mcaa.edges.visitors import Causes, Margins, Signatures
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
+from torch_mcaa.traced.asked import Asked
+from torch_mcaa.traced.program import Program, probe
+from torch_mcaa.traced.trace import Traced, Watch
+from torch_mcaa.traced.visitors import Causes, Margins, Signatures
 
 SCREEN = Screen.of((12, 12))
 CPU = torch.device("cpu")

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 import torch_mcaa as mcaa
-from torch_mcaa.edges.boundary import Elements, elements
-from torch_mcaa.edges.scan import share
 from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.traced.boundary import Elements, elements
+from torch_mcaa.traced.scan import share
 
 SCREEN = Screen.of((24, 20))
 FILTER = mcaa.Gaussian(0.5)

@@ -8,12 +8,12 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.program import Program
-from torch_mcaa.edges.trace import Lanes, Site, Traced, changed_program
-from torch_mcaa.edges.visitors import Signatures
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function, Integrand
+from torch_mcaa.traced.program import Program
+from torch_mcaa.traced.trace import Lanes, Site, Traced, changed_program
+from torch_mcaa.traced.visitors import Signatures
 
 AT_ONCE = 12 * 256 * 8
 """Points of one call."""

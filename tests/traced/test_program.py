@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 import torch_mcaa as mcaa
-from torch_mcaa.edges.program import probe
 from torch_mcaa.grid import Screen
+from torch_mcaa.traced.program import probe
 
 SCREEN = Screen.of((12, 12))
 CPU = torch.device("cpu")

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.asked import Asked
-from torch_mcaa.edges.boundary import elements
-from torch_mcaa.edges.program import Program, probe
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters import Box
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function
+from torch_mcaa.traced.asked import Asked
+from torch_mcaa.traced.boundary import elements
+from torch_mcaa.traced.program import Program, probe
 
 _AUDIT = 0xA0D17
 _STEPS = 36

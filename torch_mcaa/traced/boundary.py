@@ -16,15 +16,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.asked import AT_ONCE, Asked, Tally
-from torch_mcaa.edges.once import zero_with_gradient
-from torch_mcaa.edges.program import Program, probe
-from torch_mcaa.edges.refine import Changes, refine
-from torch_mcaa.edges.scan import scan, share
-from torch_mcaa.edges.visitors import Margins
 from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
+from torch_mcaa.traced.asked import AT_ONCE, Asked, Tally
+from torch_mcaa.traced.once import zero_with_gradient
+from torch_mcaa.traced.program import Program, probe
+from torch_mcaa.traced.refine import Changes, refine
+from torch_mcaa.traced.scan import scan, share
+from torch_mcaa.traced.visitors import Margins
 
 LINES = 3
 """Lines a pixel along either axis, by default."""

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, name_of
-from torch_mcaa.edges.trace import Site, Watch, changed_program, eagerly, where
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, name_of
+from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where
 
 _PROBE = 0x960BE
 _COUNTS = 13, 17

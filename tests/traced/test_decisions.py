@@ -11,9 +11,9 @@ from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
-from torch_mcaa.edges.boundary import boundary_term
-from torch_mcaa.edges.decisions import in_place, name_of, rule_of
 from torch_mcaa.grid import Screen
+from torch_mcaa.traced.boundary import boundary_term
+from torch_mcaa.traced.decisions import in_place, name_of, rule_of
 
 SCREEN = Screen.of((12, 12))
 FILTER = mcaa.Gaussian(0.5)

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.asked import AT_ONCE, Asked
-from torch_mcaa.edges.derivatives import derivatives
-from torch_mcaa.edges.scan import Brackets, Segments, joined
-from torch_mcaa.edges.visitors import MANY, Causes, Margins
+from torch_mcaa.traced.asked import AT_ONCE, Asked
+from torch_mcaa.traced.derivatives import derivatives
+from torch_mcaa.traced.scan import Brackets, Segments, joined
+from torch_mcaa.traced.visitors import MANY, Causes, Margins
 
 _NARROW = 2.0**-10
 """Px: the width of the last brackets."""

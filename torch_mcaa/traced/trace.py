@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from torch_mcaa.edges.decisions import ESCAPES, Choice, Decision, in_place, rule_of
 from torch_mcaa.errors import McaaError
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, rule_of
 
 _HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
 """Our code, and PyTorch's."""

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.trace import Lanes, Site
+from torch_mcaa.traced.trace import Lanes, Site
 
 _LANE = 0x1A9E
 MANY = 62

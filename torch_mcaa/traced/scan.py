@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.asked import AT_ONCE, Asked
-from torch_mcaa.edges.visitors import Causes
+from torch_mcaa.traced.asked import AT_ONCE, Asked
+from torch_mcaa.traced.visitors import Causes
 
 _SCAN, _THINNED = 0x5CA2, 0x7417
 _GROUP = 4
