@@ -55,7 +55,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
 
     Then f is foretold at one fresh random place in each from the jumps found. Fewer than 5 % of the candidates with a jump: f is
     continuous. More than 20 % foretold wrong: noise, which always "has a jump" in one half, so that counting jumps cannot tell. More than
-    10 % of those foretold wrong that lie in the next segment, where no jump was seen: detail finer than the samples, which is noise too.
+    15 % of those foretold wrong that lie in the next segment, where no jump was seen: detail finer than the samples, which is noise too.
 
     Args:
         part: for each axis the part (S,) of its segments.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -145,7 +145,7 @@ class Corrector:
             fourth = self.work.shift(count, 3, chosen, third)
         except Spent:
             return result
-        core = Level(third.pixels, third.value, third.spread, third.near, third.core & fourth.core, third.crossings, third.axes)
+        core = replace(third, core=third.core & fourth.core)
         finer = _merged(core, fourth)
         fine = coarse.pixels.of(core.pixels, core.core, False)
         finer_value, finer_variance = (coarse.pixels.of(core.pixels, one, 0.0) for one in finer)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
+from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
 from torch_mcaa.estimators.blocks import BLOCK
 from torch_mcaa.estimators.counted import Counted, Precision
@@ -30,7 +31,9 @@ _FEWEST = 3
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 _SAMPLES = 1 << 23
+"""What a cell may keep."""
 _CLASSES = 3
+"""Steps of how much f changes in a block, by which blocks are sampled together."""
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
@@ -233,10 +236,10 @@ class Parts:
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
         known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
         poor = (variance.sqrt() > known).any(0) & free
-        some = torch.nn.functional.max_pool2d(poor[None].to(torch.float32), BLOCK, BLOCK, ceil_mode=True)[0].flatten()
+        some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten() > 0
         density = torch.as_tensor(part.density).expand(cell.height, cell.width)
         # what a block has had, and, in steps of a factor of 4, how much f changes in it
-        steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg().to(some)
+        steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
         labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten()) * some).long().tolist()
         # rectangle, what it has had a pixel, its spread
         poorest = [

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
+from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.blocks import BLOCK
 from torch_mcaa.estimators.jump_corrector import STEPS
 from torch_mcaa.estimators.parts import lines_for
@@ -123,6 +124,5 @@ def _lines(
 def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
     """Blocks without candidates, but for those beside a block in which f is continuous or noise: that goes on into them."""
     size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
-    other = ((verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)).view(1, *size).to(torch.float32)
-    beside = torch.nn.functional.max_pool2d(other, 3, 1, 1).flatten() > 0
-    return (verdict == Verdict.NONE) & ~beside
+    other = (verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)
+    return (verdict == Verdict.NONE) & ~dilated(other.view(size), 1).flatten()

@@ -17,6 +17,7 @@ from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
+from torch_mcaa.traced.program import tensors_in
 from torch_mcaa.traced.trace import eagerly
 
 _SEVERING = {"item", "tolist", "__float__", "__int__", "__bool__", "__index__", "__complex__"}
@@ -97,7 +98,7 @@ class _Noting(TorchFunctionMode):
         return noted
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        for argument in _tensors((args, kwargs or {})):
+        for argument in tensors_in((args, kwargs or {})):
             if argument.requires_grad:
                 self.noted[id(argument)] = argument
                 if getattr(func, "__name__", "") in _SEVERING:
@@ -126,13 +127,3 @@ def _walk(values: Iterable[Tensor], stops: Iterable[Tensor]) -> tuple[set[Node],
 
 def _is_leaf(node: Node) -> bool:
     return node.name() == "torch::autograd::AccumulateGrad"
-
-
-def _tensors(tree: object) -> Iterable[Tensor]:
-    if isinstance(tree, Tensor):
-        yield tree
-    elif isinstance(tree, (tuple, list)):
-        for item in tree:
-            yield from _tensors(item)
-    elif isinstance(tree, dict):
-        yield from _tensors(tuple(tree.values()))

@@ -143,13 +143,13 @@ class _Probe(Watch):
                 raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {self.points} points") from error
             # a tensor of one axis more than the points' has one for channels
             self.channels = len(returned) if not isinstance(returned, Tensor) or returned.ndim > x.ndim else 1
-            for tensor in _tensors(returned):
+            for tensor in tensors_in(returned):
                 self._origin(tensor, "what f returns")
 
     def __torch_function__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: dict[str, Any] | None = None) -> Any:
         kwargs = kwargs or {}
         self._calls += 1
-        given = list(_tensors((args, kwargs)))
+        given = list(tensors_in((args, kwargs)))
         stranger = bool(given) and id(given[0]) not in self._depends
         depends = 0
         for tensor in given:
@@ -168,7 +168,7 @@ class _Probe(Watch):
         if self.number > number:
             depends |= 1 << _FIRST + 1 + 2 * number
         changed = given[:1] if in_place(func) else []
-        for tensor in (*_tensors(result), *changed):
+        for tensor in (*tensors_in(result), *changed):
             self._note(tensor, depends)
         return result
 
@@ -221,14 +221,15 @@ def _custom(func: Any) -> bool:
     return "::" in name and name.split("::")[0] not in _OURS
 
 
-def _tensors(value: Any) -> Iterator[Tensor]:
+def tensors_in(value: Any) -> Iterator[Tensor]:
+    """The tensors in nested tuples, lists and dictionaries."""
     if isinstance(value, Tensor):
         yield value
     elif isinstance(value, (tuple, list)):
         for part in value:
-            yield from _tensors(part)
+            yield from tensors_in(part)
     elif isinstance(value, dict):
-        yield from _tensors(list(value.values()))
+        yield from tensors_in(list(value.values()))
 
 
 def _reaches(tensor: Tensor, leaves: Sequence[Tensor]) -> bool:
