@@ -1,5 +1,8 @@
 """Any function f(x, y) -> colour to an anti-aliased picture with the standard error of every pixel, in PyTorch."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from torch_mcaa.allocation import EqualVariance, Neyman, Uniform
 from torch_mcaa.densities import FilterDensity, Histogram, Mixture, Normal
 from torch_mcaa.errors import McaaError, McaaWarning
@@ -30,14 +33,34 @@ from torch_mcaa.integrand import from_points
 from torch_mcaa.patterns import Independent, Jittered, Lattice, MultiJittered, Sobol
 from torch_mcaa.render import render
 from torch_mcaa.rendering import Rendering
-from torch_mcaa.supersampler import Supersampler
 from torch_mcaa.texture import Texture
 from torch_mcaa.tolerance import Tolerance
-from torch_mcaa.traced.audit import check_discontinuities
-from torch_mcaa.traced.decisions import level_set
-from torch_mcaa.warp import resize, warp_affine, warp_perspective
+
+if TYPE_CHECKING:
+    from torch_mcaa.supersampler import Supersampler
+    from torch_mcaa.traced.audit import check_discontinuities
+    from torch_mcaa.traced.decisions import level_set
+    from torch_mcaa.warp import resize, warp_affine, warp_perspective
 
 __version__ = "0.1.0"
+
+# gradients are a third of the package, which pictures alone do not need
+_LATER = {
+    "Supersampler": "supersampler",
+    "check_discontinuities": "traced.audit",
+    "level_set": "traced.decisions",
+    "resize": "warp",
+    "warp_affine": "warp",
+    "warp_perspective": "warp",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+    return value
+
 
 __all__ = [
     "AdaptiveImportance",
