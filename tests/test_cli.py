@@ -248,10 +248,12 @@ def test_demo(folder: Path, run: Run) -> None:
     status, out, err = run("demo", "--size", "20x16", "--spp", "4", "-o", "pictures/demo")
     assert (status, err) == (0, "")
     names = sorted(gallery((16, 20)))
-    assert sorted(path.stem for path in (folder / "pictures" / "demo").iterdir()) == names
+    pictures = sorted((folder / "pictures" / "demo").glob("*.png"))
+    assert [path.stem for path in pictures] == names
+    assert (folder / "pictures" / "demo" / "chart" / "chart.html").is_file()
     assert all(name in out for name in names)
     assert f"{len(names)} pictures in" in out
-    for path in (folder / "pictures" / "demo").iterdir():
+    for path in pictures:
         image = read_image(path)
         assert image.shape == (3, 16, 4 * 20 + 24)
     before = files(folder)
@@ -403,7 +405,7 @@ def test_usage_errors_show_the_usage(what: str, folder: Path, run: Run) -> None:
 
 
 def test_help(run: Run) -> None:
-    for arguments in (("--help",), ("render", "--help"), ("demo", "--help")):
+    for arguments in (("--help",), ("render", "--help"), ("demo", "--help"), ("chart", "--help")):
         status, out, err = run(*arguments)
         assert (status, err) == (0, "")
         assert "Usage" in out

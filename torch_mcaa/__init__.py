@@ -37,6 +37,7 @@ from torch_mcaa.texture import Texture
 from torch_mcaa.tolerance import Tolerance
 
 if TYPE_CHECKING:
+    from torch_mcaa.charting import chart
     from torch_mcaa.supersampler import Supersampler
     from torch_mcaa.traced.audit import check_discontinuities
     from torch_mcaa.traced.decisions import level_set
@@ -44,9 +45,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# gradients are a third of the package, which pictures alone do not need
+# gradients and charts are half of the package, which pictures alone do not need
 _LATER = {
     "Supersampler": "supersampler",
+    "chart": "charting",
     "check_discontinuities": "traced.audit",
     "level_set": "traced.decisions",
     "resize": "warp",
@@ -100,6 +102,7 @@ __all__ = [
     "Texture",
     "Tolerance",
     "Uniform",
+    "chart",
     "check_discontinuities",
     "from_points",
     "level_set",

@@ -1,4 +1,4 @@
-"""The command line: `mcaa demo`, `mcaa render`."""
+"""The command line: `mcaa demo`, `mcaa render`, `mcaa chart`."""
 
 from __future__ import annotations
 
@@ -128,6 +128,59 @@ def render(
         sys.exit(130)
 
 
+@app.command()
+def chart(
+    scenes: Annotated[list[str], typer.Argument(help="scene.py:f, or the name of a built-in scene such as star; one or more")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="the folder for the chart")] = Path("mcaa-chart"),
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels")] = "256x256",
+    budgets: Annotated[str, typer.Option(help="evaluations a pixel, increasing")] = "4,8,16,32,64",
+    seeds: Annotated[int, typer.Option(help="how often each is measured")] = 3,
+    filter: Annotated[str, typer.Option(help="as of render; gaussian:0.5,4 is cut late, for errors under 1e-6")] = "gaussian:0.5",
+    extent: Annotated[str | None, typer.Option(help="x0,x1,y0,y1 in the scene's coordinates")] = None,
+    force: Annotated[bool, typer.Option("--force", help="write over another chart")] = False,
+) -> None:
+    """Chart error against time and evaluations for every estimator, and for what one would use instead.
+
+    Run again with the same settings, it goes on where it was interrupted.
+    """
+    from torch_mcaa.charting import chart as _chart
+    from torch_mcaa.filters import parse_filter
+
+    shape = _size(size)
+    functions = dict(_scene(scene, shape) for scene in scenes)
+    try:
+        made = _chart(
+            functions,
+            shape,
+            folder=output,
+            filter=parse_filter(filter),
+            extent=None if extent is None else _numbers(extent, 4, "--extent"),  # pyright: ignore[reportArgumentType]
+            budgets=_integers(budgets, "--budgets"),
+            seeds=seeds,
+            force=force,
+        )
+    except KeyboardInterrupt:
+        print(f"mcaa: interrupted: what was measured is in {output}, and the same command goes on from there", file=sys.stderr)
+        sys.exit(130)
+    for name, why in made.left_out.items():
+        print(f"left out: {name}: {why}", file=sys.stderr)
+    print(
+        f"{made.folder / 'chart.html'}: {len(made.cells)} runs of {len(made.settings['methods'])} methods; beside it chart.svg, .png and results.csv"
+    )
+
+
+def _scene(place: str, size: tuple[int, int]) -> tuple[str, Callable[..., Any]]:
+    """A scene's name and function: built in, or `file.py:function`."""
+    from torch_mcaa.scenes import gallery
+
+    known = gallery(size)
+    if place in known:
+        return place, known[place]
+    if ":" not in place:
+        raise McaaError(f"no scene is named {place!r}; write file.py:function, or one of {', '.join(known)}")
+    return Path(place).name, load_function(place)
+
+
 def load_function(place: str) -> Callable[..., Any]:
     """The function of `file.py:name`.
 
@@ -218,3 +271,10 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
     if len(numbers) != count:
         raise McaaError(f"{option} takes {count} numbers separated by commas, got {len(numbers)}: {text!r}")
     return numbers
+
+
+def _integers(text: str, option: str) -> tuple[int, ...]:
+    parts = text.split(",")
+    if not all(part.strip().isdecimal() for part in parts):
+        raise McaaError(f"{option} takes whole numbers separated by commas, got {text!r}")
+    return tuple(int(part) for part in parts)

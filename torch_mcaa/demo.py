@@ -1,4 +1,4 @@
-"""`mcaa demo`: the built-in scenes as pictures, beside their standard error, the evaluations they took and what was used."""
+"""`mcaa demo`: the built-in scenes as pictures, beside their standard error, the evaluations they took and what was used; and a chart."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from torch_mcaa.render import render
 from torch_mcaa.rendering import Rendering
 
 _GAP = 8
+_CHARTED = ("Auto()", "Shared(Lattice())", "Importance(Sobol())")
+_CHART_SIDE = 64
 _COLORS = ((0.0, 0.0, 0.0), (0.2, 0.45, 1.0), (0.2, 1.0, 0.9), (0.9, 0.25, 0.2))
 """Of the models of `Auto`, in their order."""
 
 
 def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None:
-    """Render every scene of the gallery to `folder` and print a table of what it took.
+    """Render every scene of the gallery to `folder`, print a table of what it took, and chart the star, small and with few methods.
 
     Raises:
         McaaError: a folder that cannot be made or written, or pictures that are there already, without `force`.
@@ -25,6 +27,8 @@ def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None
     from rich.console import Console
     from rich.table import Table
 
+    from torch_mcaa.charting import chart
+    from torch_mcaa.charting.methods import ESTIMATORS
     from torch_mcaa.errors import McaaError
     from torch_mcaa.scenes import gallery
 
@@ -47,11 +51,14 @@ def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None
             f"{float(picture.stderr.square().mean().sqrt()):.1e}",
             f"{picture.seconds:.2f}",
         )
+    small = (min(size[0], _CHART_SIDE), min(size[1], _CHART_SIDE))
+    chosen = {name: ESTIMATORS[name] for name in _CHARTED}
+    chart({"star": gallery(small)["star"]}, small, folder=folder / "chart", estimators=chosen, seeds=1, force=force)
     Console().print(table)
     print(
         f"{len(scenes)} pictures in {folder.resolve()}: picture, standard error (white = the largest), "
         "evaluations a pixel (white = the most), and what was used: black a lattice, blue jumps located, cyan on a finer lattice, "
-        "red more samples where there are no jumps to locate"
+        "red more samples where there are no jumps to locate; error against cost in chart/chart.html"
     )
 
 

@@ -17,14 +17,15 @@ class Progress:
     """`update(fraction)` in [0, 1]; `close` takes the bar away.
 
     `wanted` is None (a bar when the standard error is a terminal and the work takes over a second), True, False, or a function that is
-    called with the fraction done.
+    called with the fraction done; `doing` is written before the bar.
     """
 
-    def __init__(self, wanted: Report | bool | None) -> None:
+    def __init__(self, wanted: Report | bool | None, doing: str = "rendering") -> None:
         if not (wanted is None or isinstance(wanted, bool) or callable(wanted)):
             raise McaaError(f"progress must be True, False, None or a function of the fraction done, got {wanted!r}")
         self._report = wanted if callable(wanted) else None
         self._shown = wanted is True or (wanted is None and sys.stderr.isatty())
+        self._doing = doing
         self._start = time.perf_counter()
         self._told = 0.0
         self._bar: Any = None
@@ -43,7 +44,7 @@ class Progress:
                 from rich.progress import Progress as Bar
 
                 self._bar = Bar(console=Console(stderr=True), transient=True)
-                self._task = self._bar.add_task("rendering", total=1.0)
+                self._task = self._bar.add_task(self._doing, total=1.0)
                 self._bar.start()
             self._bar.update(self._task, completed=fraction)
 
