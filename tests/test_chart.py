@@ -425,6 +425,16 @@ def test_wrong_things_leave_nothing(changed: dict[str, Any], said: str, tmp_path
     assert not (tmp_path / "new").exists()
 
 
+def test_a_closed_form_that_fails(tmp_path: Path) -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return x
+
+    f.exact = lambda cx, cy, w: torch.zeros(3)  # pyright: ignore[reportFunctionMemberAccess]
+    with pytest.raises(McaaError, match=r"f\.exact\(cx, cy, filter\) must return 1 channels .*raised RuntimeError.*mend it"):
+        made(tmp_path / "new", f)
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_size_of_nothing(tmp_path: Path) -> None:
     with pytest.raises(McaaError, match="at least one pixel"):
         mcaa.chart(ring, (0, 4), folder=tmp_path / "new")

@@ -93,7 +93,7 @@ def _table(number: int, points: Sequence[Point], truth: Truth) -> str:
         )
         cells = (
             *(f"{point.evaluations:.1f}", f"{point.seconds:.3g}", _error(point, truth)),
-            *(f"{point.rmse_low:.1e} to {point.rmse_high:.1e}", f"{point.rmse_all:.2e}"),
+            *(("–", "–") if point.limit else (f"{point.rmse_low:.1e} to {point.rmse_high:.1e}", f"{point.rmse_all:.2e}")),
             "–" if point.ratio is None else f"{point.ratio:.2f}",
             "–" if point.coverage is None else f"{100 * point.coverage:.0f} %",
             power(point.per_evaluation, point.per_evaluation_error),

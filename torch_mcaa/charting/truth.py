@@ -64,16 +64,22 @@ def closed_form(subject: Subject) -> Truth | None:
     """What `f.exact(cx, cy, filter)` says, as built-in scenes do; None where f has none under this filter, or an extent moves it.
 
     Its error is that of the tails that a Gaussian filter is cut off from (1.2e-6 of the range at 5 std), or of rounding.
+
+    Raises:
+        McaaError: an `exact` that raises anything but `McaaError`, or returns another shape.
     """
     exact: Callable[..., Tensor] | None = getattr(subject.f, "exact", None)
-    if exact is None or subject.extent is not None:
+    if not callable(exact) or subject.extent is not None:
         return None
     x, y = Screen.of(subject.size).centres()
     try:
         value = exact(x[None, :], y[:, None], subject.filter)
+        value = value.double().reshape(-1, *subject.size).expand(subject.channels, -1, -1).contiguous()
     except McaaError:
         return None
-    value = value.double().reshape(-1, *subject.size).expand(subject.channels, -1, -1).contiguous()
+    except Exception as error:
+        what = f"f.exact(cx, cy, filter) must return {subject.channels} channels of {subject.size} pixels"
+        raise McaaError(f"{what}, and raised {type(error).__name__}: {error}; mend it, or take it away for a reference") from error
     w = subject.filter
     cut = 2 * math.erfc(w.half_width / (w.std * math.sqrt(2))) if isinstance(w, Gaussian) else 0.0
     bound = max(cut * float(value.max() - value.min()), 1e-12 * float(value.abs().max()))
