@@ -7,8 +7,8 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-FLOAT32 = 4 * 2.0**-23
-"""Of the magnitude of the values: an error this small is one of rounding."""
+FLOAT32 = 8 * 2.0**-23
+"""Of the magnitude of the values: an error this small may be one of rounding, in the sums or in f (a zone plate of 128 px has 5 of them)."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Point:
 
     Attributes:
         ratio: reported over true error; None where either is not known.
-        limit: "truth" where the error is not above twice the truth's own, "float32" where it is one of rounding, else "": what it is
+        limit: "truth" where the error is not above twice the truth's own, "float32" where it may be one of rounding, else "": what it is
             below that is not known.
         per_evaluation, per_second: p of error ~ cost^-p, fitted to the method's points of this scene without a limit; None for under 3.
     """

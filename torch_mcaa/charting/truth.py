@@ -12,14 +12,14 @@ from torch.nn import functional
 
 from torch_mcaa.charting.subject import Subject
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators import Auto, Estimator, Importance
+from torch_mcaa.estimators import Auto, Estimator, Importance, Shared
 from torch_mcaa.filters import Gaussian
 from torch_mcaa.grid import Screen
 from torch_mcaa.patterns import Sobol
 from torch_mcaa.render import render
 
-FIRST, SECOND = 4, 8
-"""Times the largest budget: what the two estimates of a truth without a closed form are given."""
+ESTIMATES: tuple[tuple[Estimator, int], ...] = ((Importance(Sobol()), 8), (Shared(), 32), (Auto(), 4))
+"""Of a truth without a closed form, and the times the largest budget that each is given."""
 _BLOCK = 16
 _AGREED = 2.0
 _SEED = 2**64 - 1
@@ -87,30 +87,31 @@ def closed_form(subject: Subject) -> Truth | None:
 
 
 def reference(subject: Subject, budget: int) -> Truth:
-    """Two estimates of many evaluations, independent of what is measured and of each other: other seeds, and in one of them other points.
+    """Three estimates of many evaluations, independent of what is measured and of each other: other seeds, and one of them other points.
 
-    The first is `Auto` with 4 times the largest budget. The second draws scrambled points for every pixel by itself, is unbiased, looks for
-    no jumps, and has 8 times that budget. In blocks of 16 x 16 pixels in which the two differ by what their standard errors allow (mean
-    square of the difference over them at most 2) they are averaged with the inverse variances as weights; in the others the second
-    stands alone. Both in float64 where f takes it. What no sample of either met is not in the error.
+    The first draws scrambled points for every pixel by itself: it is unbiased, shares nothing between pixels and looks for no jumps. The
+    others, a shared lattice and `Auto`, are far more accurate and have to be borne out by it: in blocks of 16 x 16 pixels where they differ from it
+    by what the standard errors allow (mean square of the difference over them at most 2) they are averaged with it, the inverse variances as
+    weights; in the others they count for nothing. In float64 where f takes it. What no sample of any met is not in the error.
     """
     dtype = torch.float64 if _takes(subject, torch.float64) else torch.float32
-    first, first_error = _estimate(subject, Auto(), FIRST * budget, _SEED, dtype)
-    second, second_error = _estimate(subject, Importance(Sobol()), SECOND * budget, _SEED - 1, dtype)
+    (plain, times), *accurate = ESTIMATES
+    first, own = _estimate(subject, plain, times * budget, _SEED, dtype)
     # an error of 0 is one of rounding
-    least = float(torch.finfo(dtype).eps) * (float(second.abs().max()) or 1.0)
-    a, b = (error.clamp_min(least).square() for error in (first_error, second_error))
-    off = ((first - second).square() / (a + b))[None]
-    mean = functional.avg_pool2d(off, _BLOCK, ceil_mode=True, count_include_pad=False)
-    agreed = functional.interpolate(mean, scale_factor=_BLOCK)[0, :, : subject.size[0], : subject.size[1]] <= _AGREED
-    share = torch.where(agreed, b / (a + b), 0.0)
-    value = first * share + second * (1 - share)
-    error = (a * share.square() + b * (1 - share).square()).sqrt()
-    how = (
-        f"Auto() at {FIRST * budget} and Importance(Sobol()) at {SECOND * budget} evaluations a pixel, seeds of their own, "
-        f"which agree in {100 * float(agreed.double().mean()):.0f} % of the picture"
-    )
-    return Truth(value, error, "reference", how)
+    least = 64 * float(torch.finfo(dtype).eps) * (float(first.abs().max()) or 1.0)
+    own = own.clamp_min(least).square()
+    value, variance, shares = first, own, []
+    for number, (estimator, times) in enumerate(accurate, 1):
+        other, error = _estimate(subject, estimator, times * budget, _SEED - number, dtype)
+        a = error.clamp_min(least).square()
+        off = functional.avg_pool2d(((other - first).square() / (a + own))[None], _BLOCK, ceil_mode=True, count_include_pad=False)
+        agreed = functional.interpolate(off, scale_factor=_BLOCK)[0, :, : subject.size[0], : subject.size[1]] <= _AGREED
+        share = torch.where(agreed, variance / (a + variance), 0.0)
+        value = other * share + value * (1 - share)
+        variance = a * share.square() + variance * (1 - share).square()
+        shares.append(f"{estimator} at {times * budget}, agreeing in {100 * float(agreed.double().mean()):.0f} % of the picture")
+    how = f"{plain} at {ESTIMATES[0][1] * budget} evaluations a pixel, with {' and '.join(shares)}; seeds of their own"
+    return Truth(value, variance.sqrt(), "reference", how)
 
 
 def _estimate(subject: Subject, estimator: Estimator, spp: int, seed: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
