@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
 import subprocess
 import sys
@@ -37,21 +38,22 @@ def expert(f: Callable[[Tensor, Tensor], Tensor], size: int, k: int, std: float 
 
 def compare(name: str, k: int, size: int, pairs: int) -> None:
     f, spp = SCENES[name], k * k
-    ratios, times = [], []
-    for pair in range(pairs + 1):
-        begin = time.perf_counter()
+    # the clock at the beginning, after the expert's way, eager blocks and the compiled graph
+    clocks = []
+    for _ in range(pairs + 1):
+        clock = [time.perf_counter()]
         expert(f, size, k)
-        middle = time.perf_counter()
-        mcaa.render(f, (size, size), estimator=mcaa.Shared(), spp=spp)
-        end = time.perf_counter()
-        if pair:
-            ratios.append((end - middle) / (middle - begin))
-            times.append((end - middle, middle - begin))
-    ours, theirs = (statistics.median(t) * 1e3 for t in zip(*times, strict=True))
-    print(
-        f"| {name} {size}², {spp} | {theirs:.0f} ms | {ours:.0f} ms | {statistics.median(ratios):.2f} ({min(ratios):.2f}-{max(ratios):.2f}) |",
-        flush=True,
-    )
+        clock.append(time.perf_counter())
+        for compile in (False, True):
+            mcaa.render(f, (size, size), estimator=mcaa.Shared(), spp=spp, compile=compile)
+            clock.append(time.perf_counter())
+        clocks.append(clock)
+    times = [[b - a for a, b in itertools.pairwise(clock)] for clock in clocks[1:]]
+    cells = [f"{name} {size}², {spp}", *(f"{statistics.median(t) * 1e3:.0f} ms" for t in zip(*times, strict=True))]
+    for way in (1, 2):
+        ratios = [t[way] / t[0] for t in times]
+        cells.append(f"{statistics.median(ratios):.2f} ({min(ratios):.2f}-{max(ratios):.2f})")
+    print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def blurred(f: Callable[[Tensor, Tensor], Tensor], size: int, k: int, reach: int = 2) -> Tensor:
@@ -112,9 +114,9 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"torch {torch.__version__}, {torch.get_num_threads()} threads\n")
     print(
-        "| scene, evaluations a pixel | grid + two strided convolutions | torch_mcaa, with the standard error | ratio: median (range) |"
+        "| scene, evaluations a pixel | grid + two strided convolutions | torch_mcaa, with the standard error | compiled "
+        "| ratio: median (range) | compiled |\n|---|---|---|---|---|---|"
     )
-    print("|---|---|---|---|")
     for k in (4, 8):
         for name in SCENES:
             compare(name, k, 512, arguments.pairs)

@@ -765,7 +765,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"filter": mcaa.Box}, "filter such as"),
     ({"estimator": "auto"}, r"estimator such as Auto\(\).*got 'auto'"),
     ({"estimator": mcaa.Auto}, "estimator such as"),
-    ({"compile": True}, "compile must be 'auto' or False, got True"),
+    ({"compile": "on"}, "compile must be 'auto', True or False, got 'on'"),
     ({"progress": "yes"}, "progress must be .*got 'yes'"),
     ({"f": None}, "f must be a function of two tensors x, y, got NoneType"),
     ({"f": 0.5}, "f must be a function .*got float"),

@@ -34,6 +34,7 @@ class Integrand:
         nonfinite: what to do about NaN and infinities; anything but "raise" leaves them to the caller, who calls `invalid`.
         evaluations: the points f was called on so far.
         random: whether f was found to return something else for the same point.
+        refused: why f was not compiled though it was to be; empty if it was, or was not to be.
     """
 
     function: Function
@@ -42,6 +43,7 @@ class Integrand:
     evaluations: int = field(default=0, init=False)
     channels: int = field(default=0, init=False)
     random: bool = field(default=False, init=False)
+    refused: str = field(default="", init=False)
 
     def __call__(self, x: Tensor, y: Tensor) -> list[Tensor]:
         """Evaluate f at the points x, and y of a shape that expands to x's; f gets them in one row.
@@ -62,7 +64,7 @@ class Integrand:
         except Exception as error:
             place = f"x in [{float(x.min()):g}, {float(x.max()):g}], y in [{float(y.min()):g}, {float(y.max()):g}]"
             raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {len(x)} points with {place}") from error
-        values = [_checked(value, x, self.dtype)[:count].view(shape) for value in _as_channels(returned, x)]
+        values = [value[:count].view(shape) for value in channels_of(returned, x, self.dtype)]
         if self.channels not in (0, len(values)):
             raise McaaError(
                 f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call"
@@ -111,6 +113,15 @@ def from_points(network: Callable[[Tensor], Tensor]) -> Function:
         return tuple(channel.reshape(x.shape) for channel in out.reshape(x.numel(), -1).unbind(-1))
 
     return f
+
+
+def channels_of(returned: object, x: Tensor, dtype: torch.dtype) -> list[Tensor]:
+    """What f returned for points x as channels of x's shape in `dtype`.
+
+    Raises:
+        McaaError: another shape, dtype or device than f may return.
+    """
+    return [_checked(value, x, dtype) for value in _as_channels(returned, x)]
 
 
 def _flat(places: Tensor, shape: torch.Size) -> Tensor:

@@ -30,6 +30,8 @@ class Task:
     seed: int
     dtype: torch.dtype
     device: torch.device
+    compiled: bool = False
+    """Whether f is compiled into the estimator's graph, where the estimator has one."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,10 @@ class Estimator(ABC):
     def again(self) -> int:
         """The least number of evaluations a pixel of a round that is merged with others."""
         return self.fewest
+
+    def unfused(self, task: Task) -> str | None:
+        """Why it has no graph that f could be compiled into for this task; None if it has one."""
+        return f"{self} has no graph to compile f into: take Shared(Lattice())"
 
     @property
     def models(self) -> tuple[str, ...]:

@@ -63,7 +63,11 @@ class Poles:
     def add(self, channel: int, values: Tensor) -> None:
         """Take note of samples (strips, planes, cols), the next planes."""
         # of rows, not larger parts: these sums have the same bits for every number of threads
-        self._norms.setdefault(channel, []).append(torch.linalg.vector_norm(values, dim=2))
+        self.note(channel, torch.linalg.vector_norm(values, dim=2))
+
+    def note(self, channel: int, norms: Tensor) -> None:
+        """Take note of the norms of rows of samples (strips, planes), the next planes."""
+        self._norms.setdefault(channel, []).append(norms)
 
     def heavy(self, fetch: Fetch) -> Tensor | None:
         """(C, h, w) bool: the pixels whose filter reaches a place where f has no second moment; None if there is no such place."""

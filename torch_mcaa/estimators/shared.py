@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Estimator, Round, Task
+from torch_mcaa.estimators.fused import Fused
 from torch_mcaa.estimators.shared_lattice import LatticeRound, ReplicatedRound
 from torch_mcaa.estimators.shared_points import SharedPointsRound
 from torch_mcaa.patterns import Lattice, Pattern
+
+_SAMPLES, _SIDE, _VECTOR = 2**21, 512, 16
+"""A cell has at most about so many samples, to stay in the cache, is at most so many pixels wide and tall, and a multiple of the last wide."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,16 @@ class Shared(Estimator):
             return task.screen.height, task.screen.width
         if not isinstance(self.pattern, Lattice):
             return (32, 32) if adaptive else (64, 64)
-        return (64, 64) if adaptive else (256, 256)
+        if adaptive:
+            return 64, 64
+        # whole strips, and parts of the screen that are about as large: one graph serves them all
+        side = min(_SIDE, int(math.sqrt(_SAMPLES / spp)))
+        return _part(task.screen.height, side, self.pattern.period(spp // self.replicates)), _part(task.screen.width, side, _VECTOR)
+
+    def unfused(self, task: Task) -> str | None:
+        if not isinstance(self.pattern, Lattice) or self.replicates > 1:
+            return f"{self} has no graph to compile f into: take Shared(Lattice())"
+        return Fused.unfit(task)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         if not isinstance(self.pattern, Lattice):
@@ -63,3 +76,8 @@ class Shared(Estimator):
         if self.replicates == 1:
             return LatticeRound(task, spp, number)
         return ReplicatedRound(task, spp, number, self.replicates)
+
+
+def _part(whole: int, most: int, unit: int) -> int:
+    """The largest of about equal parts of a side, of at most about `most` pixels, in whole units."""
+    return -(-whole // (-(-whole // most) * unit)) * unit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,8 +11,10 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.compiling import NotCompiled
 from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
+from torch_mcaa.estimators.fused import Fused
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.estimators.poles import Poles
 from torch_mcaa.estimators.sides import sides
@@ -79,6 +82,7 @@ class LatticeRound(Round):
         self.weights = LatticeWeights(task, self.strip)
         self.order = np.argsort(self.strip.y)
         self._splats: dict[tuple[int, ...], Splat] = {}
+        self._fused: Fused | None = None
 
     def points(self, cell: Cell) -> int:
         return int(self.row_points(cell).sum()) * cell.width
@@ -108,6 +112,10 @@ class LatticeRound(Round):
     def measured(self, cell: Cell, keep: bool = False) -> Measured:
         """Evaluate f in and around `cell` and weigh the samples, which `keep` keeps."""
         task = self.task
+        if task.compiled and not task.integrand.refused and not keep:
+            found = self._by_graph(cell)
+            if found is not None:
+                return found
         at = self.weights.geometry(cell)
         splat = self._splat(cell, at)
         poles = Poles(task, cell, self.per_pixel, self.order)
@@ -138,6 +146,42 @@ class LatticeRound(Round):
         blind = extra if extra is not None and bool((extra > 0).any()) else None
         return Measured(value, variance, invalid, heavy, torch.cat(kept, 2) if kept else None, at, blind)
 
+    def _by_graph(self, cell: Cell) -> Measured | None:
+        """The same by the compiled graph; None if there is none, or f is not finite everywhere."""
+        task, at = self.task, self.weights.geometry(cell)
+        if self._fused is None:
+            # the first cell is as large as any
+            self._fused = Fused(self.weights, cell.height, cell.width)
+        try:
+            found = self._fused.weigh(cell, at)
+        except NotCompiled as reason:
+            task.integrand.refused = str(reason)
+            return None
+        if not math.isfinite(found.norms.sum().item()):
+            return None
+        variance, blind = pooled(found.power).mul_(1 / CHARACTER_RATIO), None
+        if self.audit is not None:
+            values = self._asked(cell, *self.audit.places(at), (at.strips, at.cols))
+            held = [{plane: found.plane(c, plane, at) for plane in self.audit.planes} for c in range(len(values))]
+            extra = torch.stack([self.audit.variance(cell, at, v, h) for v, h in zip(values, held, strict=True)])
+            if bool((extra > 0).any()):
+                blind = extra
+                variance.add_(extra)
+        poles = Poles(task, cell, self.per_pixel, self.order)
+        for channel in range(len(found.norms)):
+            poles.note(channel, found.norms[channel])
+        heavy = poles.heavy(partial(self._row, cell, at))
+        invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
+        return Measured(found.value, variance, invalid, heavy, None, at, blind)
+
+    def _asked(self, cell: Cell, col: Tensor, row: Tensor, shape: tuple[int, ...]) -> list[Tensor]:
+        """The channels of f at screen places of a shape, or that expand to it."""
+        task = self.task
+        dtype = task.screen.coordinate_dtype(cell, task.dtype)
+        x = task.screen.x_of(col).to(task.device, dtype)
+        y = task.screen.y_of(self._on_screen(row)).to(task.device, dtype)
+        return task.integrand(x.expand(shape), y)
+
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
         key = (cell.height, cell.width, cell.row % self.strip.period)
@@ -157,7 +201,6 @@ class LatticeRound(Round):
         samples are 0, and the weights of the others and of all are summed too.
         """
         task, strip = self.task, self.strip
-        asked = task.screen.coordinate_dtype(cell, task.dtype)
         cols = torch.arange(at.col, at.col + at.cols, dtype=torch.float64)
         rows = torch.arange(at.strip, at.strip + at.strips, dtype=torch.float64) * strip.period
         sums: list[Sums] = []
@@ -165,9 +208,7 @@ class LatticeRound(Round):
         counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masks else None
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
-            x = task.screen.x_of(col).to(task.device, asked)
-            y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
-            values = task.integrand(x.expand(shape), y)
+            values = self._asked(cell, col, row, shape)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
                 values = [value.masked_fill(bad, 0) for value in values]

@@ -97,6 +97,10 @@ class Lattice(Pattern):
             total += weight.sum(0)
         return squares / total * (n / 2)
 
+    def period(self, spp: int) -> int:
+        """Px: the height of the strip for `spp` evaluations a pixel."""
+        return 1 if spp > max(STRIPS) else STRIPS[max(s for s in STRIPS if s <= spp)][0]
+
     def strip(
         self,
         spp: int,

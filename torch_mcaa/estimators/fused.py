@@ -1,0 +1,194 @@
+"""The shared lattice in one compiled graph: f, the weights along x, and the four sums along y, without a pass over memory for each.
+
+The planes of samples are sorted along y, so that those which reach a row of pixels are a window of the strips' planes one after another.
+Windows of one length begin at equal steps inside a strip, so one loop serves all rows; what they hold beyond a filter's reach weighs 0.
+Of the samples weighed along x those of even and of odd k are kept apart: their sum and their difference are what the value and the
+characters need. Samples, sums and differences are results of the graph, which keeps it from evaluating f again for every pixel.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torch_mcaa.compiling import Compiled
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
+from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import Function, channels_of
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What the graph returns for a cell.
+
+    Attributes:
+        value, power: (C, h, w) the estimate, and the sum of its squared characters.
+        norms: (C, strips, planes) of the rows of samples.
+        samples: C of (strips, planes, columns), both from the graph's own order and beginning.
+    """
+
+    value: Tensor
+    power: Tensor
+    norms: Tensor
+    samples: list[Tensor]
+    place: np.ndarray
+    first: int
+
+    def plane(self, channel: int, plane: int, at: Geometry) -> Tensor:
+        """The samples (strips, columns) of one plane of a channel."""
+        return self.samples[channel][self.first : self.first + at.strips, int(self.place[plane]), : at.cols]
+
+
+class Fused:
+    """One strip lattice's graph for cells of one shape.
+
+    Args:
+        weights: of a task that `unfit` has no objection to.
+        height, width: of a cell in pixels; those that the screen cuts are worked on as whole ones.
+    """
+
+    def __init__(self, weights: LatticeWeights, height: int, width: int) -> None:
+        task, strip, self.reach = weights.task, weights.strip, weights.reach
+        assert isinstance(task.filter, SeparableFilter)
+        self.task, self.strip, self.width = task, strip, width
+        self.order = np.argsort(strip.y)
+        self.place = np.argsort(self.order)
+        period, count = strip.period, strip.count
+        # a cell begins anywhere in a strip
+        blocks, self.lead = -(-(height + period - 1) // period), -(-self.reach // period)
+        step, start, length = _windows(count, period, max(task.filter.radius))
+        # whole strips above and below that hold the windows of a strip's rows
+        below = start + (period - 1) * step + length - count
+        self.lead = max(self.lead, -(start // count), -(-below // count))
+        start += self.lead * count
+        around = torch.arange(-self.lead, self.lead + 1)
+        places = (around[:, None] * period + torch.from_numpy(strip.y[self.order])).flatten()
+        weight = task.filter.profile(places - (torch.arange(period)[:, None] + 0.5))
+        self.strips = blocks + 2 * self.lead
+        along_x = weights.along_x[0][:, torch.from_numpy(self.order)]
+        odd = torch.arange(-self.reach, self.reach + 1)[:, None] % 2
+        sums = [s.repeat(len(around)) for s in (along_x.sum(0), (along_x * (1 - 2 * odd)).sum(0))]
+        weight = weight / (weight @ sums[0])[:, None]
+        characters = torch.from_numpy(strip.characters[:, self.order]).to(torch.float64)
+        turns = torch.stack([1.0 - 2.0 * b * (around % 2) for _, b in strip.parities])
+        rows = torch.cat([weight[None], weight * (turns[:, :, None] * characters[:, None]).flatten(1)[:, None]])
+        response = torch.stack([rows[1 + j] @ sums[a] for j, (a, _) in enumerate(strip.parities)])
+        windows = torch.stack([rows[:, r, start + r * step : start + r * step + length] for r in range(period)], 1)
+        # float64 columns (planes, columns) and rows (strips, planes) from where a cell and its first strip begin
+        self._cols = torch.arange(-self.reach, width + self.reach) + torch.from_numpy(strip.x[self.order])[:, None]
+        self._rows = torch.arange(self.strips)[:, None] * period + torch.from_numpy(strip.y[self.order])
+        self._constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, windows, response)]
+        shape = (self.strips, count, width + 2 * self.reach)
+        self._graph = _graph(task.integrand.function, shape, (blocks, period, length), (start, step), width, task.dtype)
+
+    @staticmethod
+    def unfit(task: Task) -> str | None:
+        """Why there is no graph for this task; None if there is one."""
+        if task.boundary != "extend":
+            return f"a compiled picture needs boundary='extend', got {task.boundary!r}"
+        if not isinstance(task.filter, SeparableFilter) or math.isinf(max(task.filter.radius)):
+            return f"a compiled picture needs a filter that is a product and ends, got {task.filter}"
+        return None
+
+    def weigh(self, cell: Cell, at: Geometry) -> Weighed:
+        """Evaluate f in and around `cell` and weigh the samples.
+
+        Raises:
+            NotCompiled: as `Compiled`.
+        """
+        task, period = self.task, self.strip.period
+        begin = cell.row // period - self.lead
+        dtype = task.screen.coordinate_dtype(cell, task.dtype)
+        x = task.screen.x_of(self._cols + cell.col).to(task.device, dtype)
+        y = task.screen.y_of(self._rows + begin * period).to(task.device, dtype)
+        values, powers, norms, samples, _ = self._graph(x, y, *self._constants)
+        task.integrand.evaluations += self.strips * x.numel()
+        top, first = cell.row % period, at.strip - begin
+        window = slice(top, top + cell.height), slice(0, cell.width)
+        return Weighed(
+            torch.stack([value[window] for value in values]),
+            torch.stack([power[window] for power in powers]),
+            torch.stack(norms)[:, first : first + at.strips, torch.from_numpy(self.place)],
+            samples,
+            self.place,
+            first,
+        )
+
+
+def _windows(count: int, period: int, radius: float) -> tuple[int, int, int]:
+    """Step, start and length of windows of planes, row r's from start + r step on, that hold all within the radius of the row's centre.
+
+    The planes lie at (i + d) period / count, and the windows serve every d in [0, 1): other shifts need no other graph.
+    """
+    step = round(count / period)
+    first = [math.ceil((r + 0.5 - radius) * count / period) - 1 - r * step for r in range(period)]
+    last = [math.ceil((r + 0.5 + radius) * count / period) - 1 - r * step for r in range(period)]
+    return step, min(first), max(last) - min(first) + 1
+
+
+_graphs: weakref.WeakKeyDictionary[Any, dict[tuple[object, ...], Compiled]] = weakref.WeakKeyDictionary()
+"""The compiled graphs of each f, for as long as there is that f."""
+
+
+def _graph(f: Function, *key: Any) -> Compiled:
+    try:
+        known = _graphs.setdefault(f, {})
+    except TypeError:
+        # f cannot be referred to weakly, or has no hash
+        known = {}
+    if key not in known:
+        known[key] = Compiled(_kernel(f, *key))
+    return known[key]
+
+
+def _kernel(
+    f: Function,
+    shape: tuple[int, int, int],
+    windows: tuple[int, int, int],
+    origin: tuple[int, int],
+    width: int,
+    dtype: torch.dtype,
+) -> FunctionType:
+    """The graph as a function of coordinates x (planes, columns) and y (strips, planes), and of the weights.
+
+    The compiler writes a loop over short sums that it would vectorise, and none over stacked ones: one tensor a channel, columns last.
+    """
+    _, planes, cols = shape
+    (blocks, period, length), (start, step) = windows, origin
+    strides = (planes * width, step * width, width, 1)
+
+    def kernel(
+        x: Tensor, y: Tensor, taps: Tensor, matrix: Tensor, response: Tensor
+    ) -> tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor], list[Tensor]]:
+        values, powers, norms, kept, weighed = [], [], [], [], []
+        x, y = x[None].expand(shape), y[:, :, None].expand(shape)
+        for samples in channels_of(f(x, y), x, dtype):
+            parts = []
+            reach = (cols - width) // 2
+            for parity in (reach % 2, 1 - reach % 2):
+                terms = [taps[k][:, None] * samples[..., k : k + width] for k in range(parity, 2 * reach + 1, 2)]
+                parts.append(sum(terms[1:], terms[0]) if terms else torch.zeros_like(parts[0]))
+            even, odd = parts
+            both, sums = torch.stack([even + odd, even - odd]), []
+            for j, rows in enumerate((matrix[:2], matrix[2:])):
+                window = both.as_strided((blocks, period, length, width), strides, j * even.numel() + start * width)
+                sums += [(window * row[None, :, :, None]).sum(2) for row in rows.unbind(0)]
+            weighed.append(both)
+            value, *characters = sums
+            deviations = [(one - r[None, :, None] * value).square() for one, r in zip(characters, response.unbind(0))]
+            values.append(value.flatten(0, 1))
+            powers.append((deviations[0] + deviations[1] + deviations[2]).flatten(0, 1))
+            norms.append(torch.linalg.vector_norm(samples, dim=2))
+            kept.append(samples)
+        return values, powers, norms, kept, weighed
+
+    return kernel
