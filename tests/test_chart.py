@@ -545,3 +545,17 @@ assert "matplotlib.pyplot" not in sys.modules
     subprocess.run(
         [sys.executable, "-W", "error", "-c", program], check=True, env={"PYTHONPATH": ":".join(sys.path), "HOME": str(tmp_path)}
     )
+
+
+def test_the_readme_quotes_the_lines_of_its_chart() -> None:
+    """`4.4e-3 in 0.089 s (line 62)`: error and seconds are those of line 62 of docs/chart.csv."""
+    root = Path(__file__).parents[1]
+    readme = (root / "README.md").read_text(encoding="utf-8")
+    with open(root / "docs" / "chart.csv", newline="", encoding="utf-8") as file:
+        lines = [{}, *csv.DictReader(file)]
+    quoted = re.findall(r"(\d\.\de-\d+) in (\d[\d.]*) s \(line (\d+)\)", readme)
+    assert len(quoted) >= 4
+    for error, seconds, number in quoted:
+        line = lines[int(number) - 1]
+        assert f"{float(line['rmse']):.1e}".replace("e-0", "e-") == error
+        assert f"{float(line['seconds']):.2g}" == seconds
