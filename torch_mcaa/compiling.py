@@ -49,9 +49,15 @@ class Compiled:
                 return self._call(*tensors)
             found = _within(self._limit, lambda: self._call(*tensors))
         except Exception as error:
-            raise NotCompiled(str(error).strip().partition("\n")[0] or type(error).__name__) from error
+            raise NotCompiled(_line(error)) from error
         self._limit = None
         return found
+
+
+def _line(error: Exception) -> str:
+    """What an error says: its first line, and the next where that one only announces it."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+    return " ".join(lines[:2]) if lines[0].endswith(":") else lines[0]
 
 
 def _within(seconds: float, work: Callable[[], Any]) -> Any:

@@ -20,8 +20,14 @@ Nonfinite = Literal["raise", "ignore", "propagate"]
 # give other last bits, and where it lies would depend on the number of threads.
 _GRAIN = 2**15
 _WHOLE = 256
-# One call of f sees at most this many points: few enough to stay in the cache, enough to pay for the call.
+# One call of f on a CPU sees at most this many points: few enough to stay in the cache, enough to pay for the call.
 BLOCK = 4 * _GRAIN // (12 * _WHOLE) * (12 * _WHOLE)
+_WIDE = 16
+
+
+def width_of(device: torch.device) -> int:
+    """What a device works on at once, in parts of what a CPU's cache holds: launching many small kernels is what a GPU is slow at."""
+    return 1 if device.type == "cpu" else _WIDE
 
 
 @dataclass
@@ -53,8 +59,9 @@ class Integrand:
                 it may; it returned NaN or an infinity under nonfinite="raise" (the first place is named).
         """
         shape, count = x.shape, x.numel()
-        if count > BLOCK and shape[0] > 1:
-            step = max(1, BLOCK * shape[0] // count)
+        block = BLOCK * width_of(x.device)
+        if count > block and shape[0] > 1:
+            step = max(1, block * shape[0] // count)
             parts = [self(a, b) for a, b in zip(x.split(step), y.expand(shape).split(step), strict=True)]
             return [torch.cat(channel) for channel in zip(*parts, strict=True)]
         x, y = _flat(x, shape), _flat(y, shape)

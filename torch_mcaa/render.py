@@ -104,7 +104,8 @@ def render(
         unfused = chosen.unfused(task)
     if compile is True and unfused:
         raise McaaError(f"compile=True cannot be done: {unfused}; or pass compile='auto'")
-    if compile is True or (compile == "auto" and not unfused and spp * screen.height * screen.width >= _MANY):
+    many = task.device.type == "cpu" and spp * screen.height * screen.width >= _MANY
+    if compile is True or (compile == "auto" and not unfused and many):
         task = dataclasses.replace(task, compiled=True)
     bar = Progress(progress)
     work = Rounds(task, chosen, spp, tolerance, None if seconds is None else start + seconds, bar)

@@ -49,6 +49,10 @@ class Judged:
     crossings: tuple[Tensor, Tensor]
     lines: Tensor
 
+    def cpu(self) -> Judged:
+        first, second = self.crossings
+        return Judged(self.verdict.cpu(), self.tried.cpu(), (first.cpu(), second.cpu()), self.lines.cpu())
+
 
 def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most: int, seed: int) -> Judged:
     """Judge each part of the screen: at most `most` candidates of it are bisected eight times.

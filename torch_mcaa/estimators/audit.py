@@ -46,8 +46,8 @@ class Audit:
 
     def places(self, at: Geometry) -> tuple[Tensor, Tensor]:
         """float64 screen columns and rows (strips, cols) of the audit points, each in the pixel of its sample."""
-        strips = torch.arange(at.strip, at.strip + at.strips)[:, None]
-        cols = torch.arange(at.col, at.col + at.cols)[None, :]
+        strips = torch.arange(at.strip, at.strip + at.strips, device=self.task.device)[:, None]
+        cols = torch.arange(at.col, at.col + at.cols, device=self.task.device)[None, :]
         drawn = rng.bits(self.task.seed, _AUDIT, self.number, strips, cols)
         a, b = (drawn & 0xFFFF).to(torch.float64) / 65536 - 0.5, (drawn >> 16).to(torch.float64) / 65536 - 0.5
         basis, row = self.strip.basis, self.row()

@@ -83,7 +83,7 @@ class Auto(Estimator):
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         if not _can_locate(task):
             return Shared().cell(task, spp, adaptive)
-        return cell_of(spp, adaptive)
+        return cell_of(spp, adaptive, task.device)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         if spp < _FEWEST or not _can_locate(task):
@@ -174,7 +174,8 @@ class AutoRound(Round):
         # a median above a number: more than half are
         texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
         spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
-        return judged, texture.flatten(), spread.flatten().to(torch.float64)
+        # a few numbers a block, of which the CPU makes plans
+        return judged.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64)
 
 
 def _jumping(cell: Cell, judged: Judged) -> Tensor:

@@ -13,7 +13,7 @@ from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
-from torch_mcaa.integrand import BLOCK
+from torch_mcaa.integrand import BLOCK, width_of
 
 _STREAM, _TWICE = 0x2A5C, 16
 
@@ -67,7 +67,8 @@ class Counted:
         # counted later: of few places a call is dearer than they are
         self._places.append((col, row))
         self._held += len(col)
-        if self._held > BLOCK:
+        block = BLOCK * width_of(col.device)
+        if self._held > block:
             self._counted()
         x, y = col, row
         if task.boundary != "extend":
@@ -75,7 +76,7 @@ class Counted:
             x, y = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
         parts = [
             torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r)))
-            for c, r in zip(x.split(BLOCK), y.split(BLOCK), strict=True)
+            for c, r in zip(x.split(block), y.split(block), strict=True)
         ]
         values = parts[0] if len(parts) == 1 else torch.cat(parts, 1)
         bad = self._bad(values)

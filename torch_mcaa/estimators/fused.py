@@ -84,11 +84,12 @@ class Fused:
         response = torch.stack([rows[1 + j] @ sums[a] for j, (a, _) in enumerate(strip.parities)])
         windows = torch.stack([rows[:, r, start + r * step : start + r * step + length] for r in range(period)], 1)
         # float64 columns (planes, columns) and rows (strips, planes) from where a cell and its first strip begin
-        self._cols = torch.arange(-self.reach, width + self.reach) + torch.from_numpy(strip.x[self.order])[:, None]
-        self._rows = torch.arange(self.strips)[:, None] * period + torch.from_numpy(strip.y[self.order])
-        self._constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, windows, response)]
+        cols = torch.arange(-self.reach, width + self.reach) + torch.from_numpy(strip.x[self.order])[:, None]
+        rows = torch.arange(self.strips)[:, None] * period + torch.from_numpy(strip.y[self.order])
+        self._cols, self._rows = cols.to(task.device), rows.to(task.device)
+        self.constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, windows, response)]
         shape = (self.strips, count, width + 2 * self.reach)
-        self._graph = _graph(task.integrand.function, shape, (blocks, period, length), (start, step), width, task.dtype)
+        self.graph = _graph(task.integrand.function, shape, (blocks, period, length), (start, step), width, task.dtype)
 
     @staticmethod
     def unfit(task: Task) -> str | None:
@@ -106,13 +107,10 @@ class Fused:
             NotCompiled: as `Compiled`.
         """
         task, period = self.task, self.strip.period
-        begin = cell.row // period - self.lead
-        dtype = task.screen.coordinate_dtype(cell, task.dtype)
-        x = task.screen.x_of(self._cols + cell.col).to(task.device, dtype)
-        y = task.screen.y_of(self._rows + begin * period).to(task.device, dtype)
-        values, powers, norms, samples, _ = self._graph(x, y, *self._constants)
+        x, y = self.places(cell)
+        values, powers, norms, samples, _ = self.graph(x, y, *self.constants)
         task.integrand.evaluations += self.strips * x.numel()
-        top, first = cell.row % period, at.strip - begin
+        top, first = cell.row % period, at.strip - (cell.row // period - self.lead)
         window = slice(top, top + cell.height), slice(0, cell.width)
         return Weighed(
             torch.stack([value[window] for value in values]),
@@ -122,6 +120,13 @@ class Fused:
             self.place,
             first,
         )
+
+    def places(self, cell: Cell) -> tuple[Tensor, Tensor]:
+        """f's x (planes, columns) and y (strips, planes) of the samples in and around a cell."""
+        task, period = self.task, self.strip.period
+        dtype = task.screen.coordinate_dtype(cell, task.dtype)
+        rows = self._rows + (cell.row // period - self.lead) * period
+        return task.screen.x_of(self._cols + cell.col).to(task.device, dtype), task.screen.y_of(rows).to(task.device, dtype)
 
 
 def _windows(count: int, period: int, radius: float) -> tuple[int, int, int]:

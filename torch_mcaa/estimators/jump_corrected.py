@@ -66,7 +66,7 @@ class JumpCorrected(Estimator):
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
-        return cell_of(spp, adaptive)
+        return cell_of(spp, adaptive, task.device)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         return AutoRound(task, spp, number, plain=False)

@@ -71,7 +71,7 @@ class Corrector:
     ) -> None:
         self.ask, self.cell, self.seed, self.base, self.plain = ask, cell, seed, base, plain.to(torch.float64)
         self.work = Leveller(ask, cell, filter, seed, self.plain)
-        self.allowed, self.jumping = allowed, jumping
+        self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
         self.most_steps = steps
 

@@ -20,6 +20,7 @@ from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.shared_lattice import LatticeRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import width_of
 
 MODELS = ("lattice", "jumps located", "jumps located on a finer lattice", "no jumps to locate: more samples")
 PLAIN, LOCATED, FINER, SAMPLED = range(4)
@@ -43,11 +44,12 @@ def located(model: Tensor) -> bool:
     return bool(((model == LOCATED) | (model == FINER)).any())
 
 
-def cell_of(spp: int, adaptive: bool) -> tuple[int, int]:
+def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:
     """The cells of estimators that keep a cell's samples: fewer pixels where each has many."""
-    side = 512
+    side, width = 512, width_of(device)
     while side > 128 and (adaptive or side * side * spp > _SAMPLES):
         side //= 2
+    side *= math.isqrt(width)
     return side, side
 
 
@@ -236,11 +238,11 @@ class Parts:
         span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
         known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
         poor = (variance.sqrt() > known).any(0) & free
-        some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten() > 0
+        some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten().cpu() > 0
         density = torch.as_tensor(part.density).expand(cell.height, cell.width)
         # what a block has had, and, in steps of a factor of 4, how much f changes in it
         steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
-        labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten()) * some).long().tolist()
+        labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten().cpu()) * some).long().tolist()
         # rectangle, what it has had a pixel, its spread
         poorest = [
             (where, (labels[inside[0]] - 1) // (1 + _CLASSES), float(spread[inside].mean()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, field, fields
@@ -17,7 +18,7 @@ from torch_mcaa.estimators.points import evaluate_points
 from torch_mcaa.estimators.tail import without_moment
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
-from torch_mcaa.integrand import BLOCK
+from torch_mcaa.integrand import BLOCK, width_of
 from torch_mcaa.patterns import Pattern
 
 Combine = Literal["discard_pilot", "fixed", "pooled"]
@@ -148,7 +149,9 @@ class Pixelwise(Estimator):
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         # with an allocation, cells large enough that pixels of one count are many
-        return (32, 32) if adaptive else (64, 64) if isinstance(self.allocation, Uniform) else (256, 256)
+        side = 32 if adaptive else 64 if isinstance(self.allocation, Uniform) else 256
+        side *= math.isqrt(width_of(task.device))
+        return side, side
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         return PixelwiseRound(self, task, spp, number)
@@ -202,7 +205,7 @@ class PixelwiseRound(Round):
         order = counts.argsort(stable=True)
         parts, start = [], 0
         for n, pixels in zip(*(each.tolist() for each in counts.unique(return_counts=True)), strict=True):
-            step = max(1, BLOCK // n)
+            step = max(1, BLOCK * width_of(task.device) // n)
             for first in range(start, start + pixels, step):
                 chosen = order[first : min(first + step, start + pixels)]
                 parts.append(self.estimator.draw(Pixels(task, cell, rows[chosen], cols[chosen], self.number), n))

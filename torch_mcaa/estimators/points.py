@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
-from torch_mcaa.integrand import BLOCK
+from torch_mcaa.integrand import BLOCK, width_of
 
 
 def evaluate_points(task: Task, cell: Cell, col: Tensor, row: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
@@ -24,7 +24,7 @@ def evaluate_points(task: Task, cell: Cell, col: Tensor, row: Tensor) -> tuple[T
         # f is not asked outside the screen; these values are multiplied by 0
         col, row = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
     x, y = task.screen.x_of(col).to(asked), task.screen.y_of(row).to(asked)
-    step = max(1, BLOCK // x[0].numel())
+    step = max(1, BLOCK * width_of(x.device) // x[0].numel())
     parts, invalid = [], []
     for start in range(0, len(x), step):
         values = task.integrand(x[start : start + step], y[start : start + step])

@@ -10,6 +10,7 @@ from torch_mcaa.estimators.base import Estimator, Round, Task
 from torch_mcaa.estimators.fused import Fused
 from torch_mcaa.estimators.shared_lattice import LatticeRound, ReplicatedRound
 from torch_mcaa.estimators.shared_points import SharedPointsRound
+from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice, Pattern
 
 _SAMPLES, _SIDE, _VECTOR = 2**21, 512, 16
@@ -57,12 +58,12 @@ class Shared(Estimator):
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         if math.isinf(max(task.filter.radius)):
             return task.screen.height, task.screen.width
-        if not isinstance(self.pattern, Lattice):
-            return (32, 32) if adaptive else (64, 64)
-        if adaptive:
-            return 64, 64
+        scale = math.isqrt(width_of(task.device))
+        if adaptive or not isinstance(self.pattern, Lattice):
+            side = scale * (32 if adaptive and not isinstance(self.pattern, Lattice) else 64)
+            return side, side
         # whole strips, and parts of the screen that are about as large: one graph serves them all
-        side = min(_SIDE, int(math.sqrt(_SAMPLES / spp)))
+        side = min(_SIDE * scale, int(scale * math.sqrt(_SAMPLES / spp)))
         return _part(task.screen.height, side, self.pattern.period(spp // self.replicates)), _part(task.screen.width, side, _VECTOR)
 
     def unfused(self, task: Task) -> str | None:

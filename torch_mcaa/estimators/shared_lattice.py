@@ -161,7 +161,8 @@ class LatticeRound(Round):
             return None
         variance, blind = pooled(found.power).mul_(1 / CHARACTER_RATIO), None
         if self.audit is not None:
-            values = self._asked(cell, *self.audit.places(at), (at.strips, at.cols))
+            dtype = task.screen.coordinate_dtype(cell, task.dtype)
+            values = self._asked(dtype, *self.audit.places(at), (at.strips, at.cols))
             held = [{plane: found.plane(c, plane, at) for plane in self.audit.planes} for c in range(len(values))]
             extra = torch.stack([self.audit.variance(cell, at, v, h) for v, h in zip(values, held, strict=True)])
             if bool((extra > 0).any()):
@@ -174,10 +175,9 @@ class LatticeRound(Round):
         invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         return Measured(found.value, variance, invalid, heavy, None, at, blind)
 
-    def _asked(self, cell: Cell, col: Tensor, row: Tensor, shape: tuple[int, ...]) -> list[Tensor]:
-        """The channels of f at screen places of a shape, or that expand to it."""
+    def _asked(self, dtype: torch.dtype, col: Tensor, row: Tensor, shape: tuple[int, ...]) -> list[Tensor]:
+        """The channels of f at screen places of a shape, or that expand to it, told in a dtype."""
         task = self.task
-        dtype = task.screen.coordinate_dtype(cell, task.dtype)
         x = task.screen.x_of(col).to(task.device, dtype)
         y = task.screen.y_of(self._on_screen(row)).to(task.device, dtype)
         return task.integrand(x.expand(shape), y)
@@ -201,6 +201,7 @@ class LatticeRound(Round):
         samples are 0, and the weights of the others and of all are summed too.
         """
         task, strip = self.task, self.strip
+        dtype = task.screen.coordinate_dtype(cell, task.dtype)
         cols = torch.arange(at.col, at.col + at.cols, dtype=torch.float64)
         rows = torch.arange(at.strip, at.strip + at.strips, dtype=torch.float64) * strip.period
         sums: list[Sums] = []
@@ -208,7 +209,7 @@ class LatticeRound(Round):
         counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masks else None
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
-            values = self._asked(cell, col, row, shape)
+            values = self._asked(dtype, col, row, shape)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
                 values = [value.masked_fill(bad, 0) for value in values]

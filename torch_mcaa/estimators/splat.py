@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.grid import Cell
-from torch_mcaa.integrand import BLOCK
+from torch_mcaa.integrand import BLOCK, width_of
 
 # planes are weighed along x in blocks of f's size, and summed along y once for so many blocks: fewer, longer products
 _BLOCKS_A_BATCH = 2
@@ -58,7 +58,7 @@ class Splat:
         strip, task = weights.strip, weights.task
         self.cell, self.at, self.contrast = cell, at, contrast
         self.reach, self.block_strips, self.rows = weights.reach, weights.block_strips, weights.block_strips * strip.period
-        self.group = max(1, BLOCK // at.points)
+        self.group = max(1, BLOCK * width_of(task.device) // at.points)
         along_y, signs, response, norm = weights.along_y(cell, at)
 
         def place(tensor: Tensor) -> Tensor:
