@@ -7,10 +7,10 @@ from contextlib import nullcontext
 
 import pytest
 import torch
+from pretended import pretended
 from torch import Tensor
 
 import torch_mcaa as mcaa
-from pretended import pretended
 
 CUDA = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")]
 SIZE = (50, 60)
