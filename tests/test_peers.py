@@ -118,10 +118,11 @@ def test_a_missing_required_peer_fails_the_check(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_time_to_an_error_lies_on_a_straight_line_of_logarithms() -> None:
-    def runner(*points: tuple[float, float]) -> Runner:
-        return Runner(PEERS[0], [Point(n, squares=[e * e], times=[t]) for n, (e, t) in enumerate(points)])
+    def runner(*points: tuple[float, float], step: int = 4) -> Runner:
+        return Runner(PEERS[0], [Point(n * step, squares=[e * e], times=[t]) for n, (e, t) in enumerate(points)])
 
     assert runner((1e-2, 1.0), (1e-4, 100.0)).time_to(1e-3) == pytest.approx(10)
+    assert runner((1e-2, 1.0), (1e-4, 100.0), step=1).time_to(1e-3) == 100  # nothing lies between
     assert runner((1e-3, 2.0), (1e-4, 9.0)).time_to(2e-3) == 2
     assert runner((1e-2, 1.0)).time_to(2e-3) == math.inf
 

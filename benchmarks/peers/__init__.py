@@ -28,7 +28,7 @@ PEERS = [
     Peer("torchquad Simpson", "torchquad_pixels", "torchquad", required=True, function="simpson"),
     Peer("torchquad VEGAS", "torchquad_pixels", "torchquad", required=True, function="vegas", budgets=(64, 256)),
     Peer("vegas", "vegas_pixels", "vegas", required=True, budgets=(16, 64, 256)),
-    Peer("Mitsuba 3, textured rectangle", "mitsuba_texture", "mitsuba"),
+    Peer("Mitsuba 3, textured rectangle", "mitsuba_texture", "mitsuba", budgets=(4, 16, 64)),
     Peer("smoothstep(fwidth)", "fwidth", budgets=(1,), fits=_has_distance),
 ]
 

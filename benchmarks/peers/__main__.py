@@ -105,9 +105,10 @@ def main() -> None:
                 for runner in runners
             },
         }
+        # after every case, since all of them take long
+        RESULTS.mkdir(exist_ok=True)
+        (RESULTS / "peers.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf8")
     console.print(summary)
-    RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "peers.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf8")
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ def numba() -> Any:
             binding.load_library_permanently(str(library))
         binding.set_option("", "-vector-library=SVML")
     module = importlib.import_module("numba")
+    module.config.THREADING_LAYER = "workqueue"  # under OpenMP numba would set PyTorch's number of threads, too
     module.set_num_threads(min(torch.get_num_threads(), module.config.NUMBA_NUM_THREADS))
     return module
 

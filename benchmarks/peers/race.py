@@ -40,13 +40,15 @@ class Runner:
     error: str = ""
 
     def time_to(self, target: float) -> float:
-        """Seconds, by a straight line between logarithms of error and time; +inf if no budget comes so far."""
+        """Seconds, by a straight line between logarithms of error and time where a budget could lie between; +inf if none comes so far."""
         points = [p for p in self.points if p.squares]
         if not points or min(p.rmse for p in points) > target:
             return math.inf
         if points[0].rmse <= target:
             return points[0].seconds
         for before, after in pairwise(points):
+            if after.rmse <= target and after.budget == before.budget + 1:
+                return after.seconds
             if after.rmse <= target:
                 share = math.log(before.rmse / target) / math.log(before.rmse / max(after.rmse, 1e-12))
                 return math.exp((1 - share) * math.log(before.seconds) + share * math.log(after.seconds))
