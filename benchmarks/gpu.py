@@ -20,6 +20,7 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa.arguments import task_of
 from torch_mcaa.estimators import Shared
+from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.fused import Fused
 from torch_mcaa.estimators.lattice_weights import LatticeWeights
 from torch_mcaa.grid import Cell, Screen
@@ -84,14 +85,14 @@ def captured(f: Callable[..., object], size: int, spp: int) -> tuple[float, int]
     weights = LatticeWeights(task, strip)
     height, width = Shared().cell(task, spp, False)
     cell = Cell(0, 0, min(height, size), min(width, size))
-    fused = Fused(weights, cell.height, cell.width)
+    fused = Fused(weights, Audit(task, strip, 0), cell.height, cell.width)
     at = weights.geometry(cell)
     fused.weigh(cell, at)
-    x, y = fused.places(cell)
+    inputs = fused.inputs(cell, at)
     graph = torch.cuda.CUDAGraph()
     with torch.no_grad(), torch.cuda.graph(graph):
-        fused.graph(x, y, *fused.constants)
-    return seconds(graph.replay), fused.strips * x.numel()
+        fused.graph(*inputs)
+    return seconds(graph.replay), fused.strips * inputs[0].numel()
 
 
 def measure(name: str, size: int, spp: int, copied: float) -> dict[str, object]:

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.compiling import Compiled
+from torch_mcaa.estimators.audit import Audit, placed
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.filters import SeparableFilter
@@ -33,19 +34,14 @@ class Weighed:
     Attributes:
         value, power: (C, h, w) the estimate, and the sum of its squared characters.
         norms: (C, strips, planes) of the rows of samples.
-        samples: C of (strips, planes, columns), both from the graph's own order and beginning.
+        seen, more: C of (strips, columns), of the audit, as `Audit.judged` takes them; none without one.
     """
 
     value: Tensor
     power: Tensor
     norms: Tensor
-    samples: list[Tensor]
-    place: np.ndarray
-    first: int
-
-    def plane(self, channel: int, plane: int, at: Geometry) -> Tensor:
-        """The samples (strips, columns) of one plane of a channel."""
-        return self.samples[channel][self.first : self.first + at.strips, int(self.place[plane]), : at.cols]
+    seen: list[Tensor]
+    more: list[Tensor]
 
 
 class Fused:
@@ -53,10 +49,11 @@ class Fused:
 
     Args:
         weights: of a task that `unfit` has no objection to.
+        audit: whose points are asked in the same graph.
         height, width: of a cell in pixels; those that the screen cuts are worked on as whole ones.
     """
 
-    def __init__(self, weights: LatticeWeights, height: int, width: int) -> None:
+    def __init__(self, weights: LatticeWeights, audit: Audit | None, height: int, width: int) -> None:
         task, strip, self.reach = weights.task, weights.strip, weights.reach
         assert isinstance(task.filter, SeparableFilter)
         self.task, self.strip, self.width = task, strip, width
@@ -88,8 +85,17 @@ class Fused:
         rows = torch.arange(self.strips)[:, None] * period + torch.from_numpy(strip.y[self.order])
         self._cols, self._rows = cols.to(task.device), rows.to(task.device)
         self.constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, windows, response)]
+        self._watched: list[Tensor] = []
+        if audit is not None:
+            (x0, _, y0, _), (px, py) = task.screen.extent, task.screen.pixel_size
+            steps = [(0, 0), *((down, right) for _, down, right in audit.neighbours)]
+            planes = [int(self.place[plane]) for plane in (audit.reference, *(plane for plane, _, _ in audit.neighbours))]
+            numbers = torch.tensor([x0, px, y0, py], dtype=torch.float64)
+            fixed = [audit.state, audit.numbers, numbers, torch.tensor(steps), torch.tensor(planes)]
+            self._watched = [t.to(task.device) for t in fixed]
         shape = (self.strips, count, width + 2 * self.reach)
-        self.graph = _graph(task.integrand.function, shape, (blocks, period, length), (start, step), width, task.dtype)
+        windows_of = (blocks, period, length), (start, step)
+        self.graph = _graph(task.integrand.function, shape, *windows_of, width, audit is not None, task.dtype)
 
     @staticmethod
     def unfit(task: Task) -> str | None:
@@ -107,26 +113,31 @@ class Fused:
             NotCompiled: as `Compiled`.
         """
         task, period = self.task, self.strip.period
-        x, y = self.places(cell)
-        values, powers, norms, samples, _ = self.graph(x, y, *self.constants)
-        task.integrand.evaluations += self.strips * x.numel()
+        values, powers, norms, seen, more, *_ = self.graph(*self.inputs(cell, at))
+        shape = self.strips, self.strip.count, self.width + 2 * self.reach
+        task.integrand.evaluations += math.prod(shape) + (shape[0] * shape[2] if seen else 0)
         top, first = cell.row % period, at.strip - (cell.row // period - self.lead)
+        strips = slice(first, first + at.strips)
         window = slice(top, top + cell.height), slice(0, cell.width)
         return Weighed(
             torch.stack([value[window] for value in values]),
             torch.stack([power[window] for power in powers]),
-            torch.stack(norms)[:, first : first + at.strips, torch.from_numpy(self.place)],
-            samples,
-            self.place,
-            first,
+            torch.stack(norms)[:, strips, torch.from_numpy(self.place)],
+            [s[strips, : at.cols] for s in seen],
+            [m[strips, : at.cols] for m in more],
         )
 
-    def places(self, cell: Cell) -> tuple[Tensor, Tensor]:
-        """f's x (planes, columns) and y (strips, planes) of the samples in and around a cell."""
+    def inputs(self, cell: Cell, at: Geometry) -> list[Tensor]:
+        """What the graph takes for a cell: f's x (planes, columns) and y (strips, planes), the weights, and what concerns the audit."""
         task, period = self.task, self.strip.period
-        dtype = task.screen.coordinate_dtype(cell, task.dtype)
-        rows = self._rows + (cell.row // period - self.lead) * period
-        return task.screen.x_of(self._cols + cell.col).to(task.device, dtype), task.screen.y_of(rows).to(task.device, dtype)
+        dtype, begin = task.screen.coordinate_dtype(cell, task.dtype), cell.row // period - self.lead
+        x, y = task.screen.x_of(self._cols + cell.col), task.screen.y_of(self._rows + begin * period)
+        inputs = [x.to(dtype), y.to(dtype), *self.constants]
+        if self._watched:
+            # neighbours are looked for among the samples of the cell's own geometry
+            bounds = torch.tensor([begin, cell.col - self.reach, at.strip - begin, at.strip - begin + at.strips, at.cols])
+            inputs += [bounds.to(task.device), *self._watched]
+        return inputs
 
 
 def _windows(count: int, period: int, radius: float) -> tuple[int, int, int]:
@@ -161,24 +172,22 @@ def _kernel(
     windows: tuple[int, int, int],
     origin: tuple[int, int],
     width: int,
+    audited: bool,
     dtype: torch.dtype,
 ) -> FunctionType:
-    """The graph as a function of coordinates x (planes, columns) and y (strips, planes), and of the weights.
+    """The graph as a function of `Fused.inputs`.
 
     The compiler writes a loop over short sums that it would vectorise, and none over stacked ones: one tensor a channel, columns last.
     """
     _, planes, cols = shape
     (blocks, period, length), (start, step) = windows, origin
-    strides = (planes * width, step * width, width, 1)
+    strides, reach = (planes * width, step * width, width, 1), (cols - width) // 2
 
-    def kernel(
-        x: Tensor, y: Tensor, taps: Tensor, matrix: Tensor, response: Tensor
-    ) -> tuple[list[Tensor], list[Tensor], list[Tensor], list[Tensor], list[Tensor]]:
-        values, powers, norms, kept, weighed = [], [], [], [], []
-        x, y = x[None].expand(shape), y[:, :, None].expand(shape)
-        for samples in channels_of(f(x, y), x, dtype):
+    def kernel(x: Tensor, y: Tensor, taps: Tensor, matrix: Tensor, response: Tensor, *watched: Tensor) -> tuple[list[Tensor], ...]:
+        values, powers, norms, kept, weighed, seen, more = [], [], [], [], [], [], []
+        coordinates = x[None].expand(shape), y[:, :, None].expand(shape)
+        for samples in channels_of(f(*coordinates), coordinates[0], dtype):
             parts = []
-            reach = (cols - width) // 2
             for parity in (reach % 2, 1 - reach % 2):
                 terms = [taps[k][:, None] * samples[..., k : k + width] for k in range(parity, 2 * reach + 1, 2)]
                 parts.append(sum(terms[1:], terms[0]) if terms else torch.zeros_like(parts[0]))
@@ -187,13 +196,53 @@ def _kernel(
             for j, rows in enumerate((matrix[:2], matrix[2:])):
                 window = both.as_strided((blocks, period, length, width), strides, j * even.numel() + start * width)
                 sums += [(window * row[None, :, :, None]).sum(2) for row in rows.unbind(0)]
-            weighed.append(both)
             value, *characters = sums
             deviations = [(one - r[None, :, None] * value).square() for one, r in zip(characters, response.unbind(0))]
             values.append(value.flatten(0, 1))
             powers.append((deviations[0] + deviations[1] + deviations[2]).flatten(0, 1))
             norms.append(torch.linalg.vector_norm(samples, dim=2))
             kept.append(samples)
-        return values, powers, norms, kept, weighed
+            weighed.append(both)
+        if audited:
+            seen, more = _watch(f, kept, period, x.dtype, *watched)
+        return values, powers, norms, seen, more, kept, weighed
 
     return kernel
+
+
+def _watch(
+    f: Function,
+    samples: list[Tensor],
+    period: int,
+    asked: torch.dtype,
+    bounds: Tensor,
+    state: Tensor,
+    numbers: Tensor,
+    screen: Tensor,
+    steps: Tensor,
+    planes: Tensor,
+) -> tuple[list[Tensor], list[Tensor]]:
+    """For each channel what `Audit.judged` takes, of f at the audit's points and the samples (strips, planes, columns) about them.
+
+    Args:
+        bounds: the first strip and column, and which strips [from, to) and how many columns are looked at.
+        screen: x = screen[0] + screen[1] column, y = screen[2] + screen[3] row.
+        steps, planes: strips and columns from the audit's sample, and the plane, of that sample and its four neighbours.
+    """
+    strips, _, cols = samples[0].shape
+    row, col = torch.arange(strips, device=bounds.device)[:, None], torch.arange(cols, device=bounds.device)[None]
+    at_col, at_row = placed(state, numbers, row + bounds[0], col + bounds[1], period)
+    x, y = (screen[0] + screen[1] * at_col).to(asked), (screen[2] + screen[3] * at_row).to(asked)
+    seen, more = [], []
+    for audited, channel in zip(channels_of(f(x, y), x, samples[0].dtype), samples):
+        reference = channel.index_select(1, planes[:1])[:, 0]
+        square, most = (audited - reference).square(), torch.zeros_like(audited)
+        for k in range(1, 5):
+            down, right = row + steps[k, 0], col + steps[k, 1]
+            inside = (down >= bounds[2]) & (down < bounds[3]) & (right >= 0) & (right < bounds[4])
+            plane = planes[k : k + 1].expand(strips, cols)
+            there = channel[down.clamp(0, strips - 1), plane, right.clamp(0, cols - 1)]
+            most = torch.maximum(most, torch.where(inside, (there - reference).square(), 0))
+        seen.append(square)
+        more.append((square > most).to(square.dtype))
+    return seen, more

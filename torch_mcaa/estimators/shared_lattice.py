@@ -151,7 +151,7 @@ class LatticeRound(Round):
         task, at = self.task, self.weights.geometry(cell)
         if self._fused is None:
             # the first cell is as large as any
-            self._fused = Fused(self.weights, cell.height, cell.width)
+            self._fused = Fused(self.weights, self.audit, cell.height, cell.width)
         try:
             found = self._fused.weigh(cell, at)
         except NotCompiled as reason:
@@ -161,10 +161,7 @@ class LatticeRound(Round):
             return None
         variance, blind = pooled(found.power).mul_(1 / CHARACTER_RATIO), None
         if self.audit is not None:
-            dtype = task.screen.coordinate_dtype(cell, task.dtype)
-            values = self._asked(dtype, *self.audit.places(at), (at.strips, at.cols))
-            held = [{plane: found.plane(c, plane, at) for plane in self.audit.planes} for c in range(len(values))]
-            extra = torch.stack([self.audit.variance(cell, at, v, h) for v, h in zip(values, held, strict=True)])
+            extra = torch.stack([self.audit.judged(cell, at, s, m) for s, m in zip(found.seen, found.more, strict=True)])
             if bool((extra > 0).any()):
                 blind = extra
                 variance.add_(extra)
