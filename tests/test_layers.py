@@ -20,12 +20,12 @@ ROOT = Path(torch_mcaa.__file__).parent
 # A module imports from floors below its own; the files of one folder import each other without a circle.
 FLOORS = (
     {"errors"},
-    {"rng", "moments", "allocation", "compiling"},
+    {"rng", "moments", "allocation", "compiling", "tolerance"},
     {"grid", "filters", "patterns", "strata"},
     {"densities", "integrand", "texture", "scenes"},
     {"edges", "traced"},
     {"estimators"},
-    {"progress", "rendering", "tolerance", "arguments", "picture", "sharing_out", "replicates"},
+    {"progress", "rendering", "arguments", "picture", "sharing_out", "replicates"},
     {"history"},
     {"rounds"},
     {"render", "replay"},

@@ -11,9 +11,13 @@ from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
-from torch_mcaa.estimators import Estimate
-from torch_mcaa.grid import Cell
+from torch_mcaa.estimators import Estimate, Task
+from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
+from torch_mcaa.estimators.counted import Counted, Precision
+from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.integrand import Integrand
 from torch_mcaa.replicates import Latest, agreed
+from torch_mcaa.tolerance import FEW_SHIFTS
 
 FILTER = mcaa.Gaussian(0.5, radius=4.0)
 
@@ -92,9 +96,9 @@ def test_early_rounds_are_outgrown_by_two_that_agree_much_better() -> None:
 
 
 MOST = {
-    "slow tone": (scenes.Sinusoid(0.23, 0.11, 0.7), 12),
-    "tone": (scenes.Sinusoid(1.9, -0.8, 0.3), 64),
-    "zone plate": (scenes.ZonePlate(0.03, 60.3, 61.1), 24),
+    "slow tone": (scenes.Sinusoid(0.23, 0.11, 0.7), 9),
+    "tone": (scenes.Sinusoid(1.9, -0.8, 0.3), 36),
+    "zone plate": (scenes.ZonePlate(0.03, 60.3, 61.1), 20),
     "pentagon": (scenes.Polygon(((20.3, 30.1), (90.2, 17.7), (110.9, 70.4), (60.5, 112.2), (22.1, 80.8))), 24),
     "hairline": (scenes.Stripe(0.3, 80.2, 0.1), 16),
 }
@@ -109,6 +113,44 @@ def test_tolerance_is_met_with_few_evaluations(name: str) -> None:
     assert float(picture.spp.double().mean()) < most
     assert float(error.square().mean().sqrt()) <= 1e-3
     assert float(error.abs().max()) <= 6e-3
+
+
+@pytest.mark.parametrize("v", [0.2, 1.0, 2.5, 5.0])
+def test_steepness_tells_a_tones_frequency(v: float) -> None:
+    """48 pairs in each of 16 blocks: within a tenth over all, and each within a half; on a grid of whole pixels (1.5, 2) is two values."""
+    cell, tone = Cell(0, 0, 128, 128), scenes.Sinusoid(0.6 * v, 0.8 * v, 0.4)
+    task = Task(Screen.of((128, 128)), Integrand(tone, torch.float64), FILTER, "extend", 1, torch.float64, torch.device("cpu"))
+    ask = Counted(task, cell, 1 << 20, Precision())
+    frequency, std, level = frequency_of(ask, cell, 5)
+    assert float(frequency.square().mean().sqrt()) == pytest.approx(v, rel=0.1)
+    assert bool(((frequency / v).log().abs() < math.log(1.5)).all())
+    # the scene goes from 0 to 1
+    assert float(std.square().mean().sqrt()) == pytest.approx(math.sqrt(1 / 8), rel=0.05)
+    assert float(level.mean()) == pytest.approx(0.5, abs=0.05)
+    assert ask.left == (1 << 20) - 16 * 96
+
+
+def test_points_are_enough_for_a_tone_and_no_more_than_random_ones() -> None:
+    """The Gaussian's transform is exp(-2 (pi s k)^2): what is 3,000 times too small lies 1.27 cycles off; a lattice of 5 has 2.1 between."""
+    points = Bandwidth(FILTER).points
+    one = torch.ones(1, 1, dtype=torch.float64)
+    assert int(points(0.8 * one, one, 1e-3 * one)) == 5
+    assert int(points(0 * one, 0 * one, 1e-3 * one)) == 3
+    assert int(points(9 * one, one, 1e-3 * one)) == 16
+    # a variance of the integral of w^2 over n, 1 / (4 pi s^2) = 0.318
+    assert int(points(9 * one, one, 0.2 * one)) == math.ceil(0.3183 / 0.04)
+
+
+@pytest.mark.parametrize("shifts", [2, 4])
+def test_chance_agreement_of_shifts_is_paid_for(shifts: int) -> None:
+    """Whatever the true standard error, of the pixels at most 5 % are both taken for good and beyond two tolerances (and not far fewer)."""
+    rounds, most = shifts // 2, 0.0
+    z = _normal(11, rounds, 2, 1 << 20)
+    for true in (0.5, 1, 1.5, 2, 3, 5, 9):
+        error = true * z.mean((0, 1)) * math.sqrt(shifts)
+        told = true * ((z[:, 0] - z[:, 1]).square().mean(0) / 2).sqrt()
+        most = max(most, float(((told * FEW_SHIFTS[rounds - 1] <= 1) & (error.abs() > 2)).double().mean()))
+    assert 0.02 < most < 0.051
 
 
 def test_high_tones_do_not_pass_as_smooth() -> None:

@@ -14,7 +14,7 @@ from torch_mcaa.rendering import Rendering
 _GAP = 8
 _CHARTED = ("Auto()", "Shared(Lattice())", "Importance(Sobol())")
 _CHART_SIDE = 64
-_COLORS = ((0.0, 0.0, 0.0), (0.2, 0.45, 1.0), (0.2, 1.0, 0.9), (0.9, 0.25, 0.2))
+_COLORS = ((0.0, 0.0, 0.0), (0.2, 0.45, 1.0), (0.2, 1.0, 0.9), (0.9, 0.25, 0.2), (1.0, 0.7, 0.2))
 """Of the models of `Auto`, in their order."""
 
 
@@ -58,7 +58,7 @@ def run_demo(folder: Path, size: tuple[int, int], spp: int, force: bool) -> None
     print(
         f"{len(scenes)} pictures in {folder.resolve()}: picture, standard error (white = the largest), "
         "evaluations a pixel (white = the most), and what was used: black a lattice, blue jumps located, cyan on a finer lattice, "
-        "red more samples where there are no jumps to locate; error against cost in chart/chart.html"
+        "red more samples where there are no jumps to locate, orange where there are too many; error against cost in chart/chart.html"
     )
 
 

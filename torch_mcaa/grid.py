@@ -45,7 +45,7 @@ class Cell:
         row, col = self.row - other.row, self.col - other.col
         return slice(row, row + self.height), slice(col, col + self.width)
 
-    def rectangles(self, side: int, labels: Sequence[int]) -> list[tuple[Cell, list[int]]]:
+    def rectangles(self, side: int, labels: Sequence[object]) -> list[tuple[Cell, list[int]]]:
         """Blocks of one label as few rectangles: the part of the cell, and its blocks.
 
         labels: of the blocks of `side` x `side` pixels, row by row; the last ones of a row or column are cut.

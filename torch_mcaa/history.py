@@ -22,7 +22,8 @@ class History:
         weight: of the value that the picture has there.
         points: the evaluations a pixel so far, `kept` those that the value still rests on.
         rounds: how many there were.
-        located: whether the last one located jumps.
+        located: whether the last one located jumps, `jumps` whether any did. calm: whether it found none to be located.
+        alone: whether it was the first, where f has detail that one lattice alone does not judge.
         unseen, blind: as in `Estimate`, of the value that the picture has.
         latest: the last round, if rounds are compared with each other.
     """
@@ -33,12 +34,25 @@ class History:
     kept: float = 0.0
     rounds: int = 0
     located: bool = False
+    jumps: bool = False
+    calm: bool = False
+    alone: bool = False
     unseen: Tensor | None = None
     blind: Tensor | None = None
     latest: Latest | None = None
 
     def merge(
-        self, picture: Estimate, new: Estimate, points: float, *, combine: str, propagate: bool, compared: bool, located: bool
+        self,
+        picture: Estimate,
+        new: Estimate,
+        points: float,
+        *,
+        combine: str,
+        propagate: bool,
+        compared: bool,
+        located: bool,
+        calm: bool,
+        detailed: bool,
     ) -> None:
         """Merge a round of `points` evaluations a pixel into the picture, by default with weights fixed by the rounds' sizes alone.
 
@@ -76,7 +90,9 @@ class History:
         self.points += points
         self.kept += points
         self.rounds += 1
-        self.located = located
+        self.located, self.calm = located, calm
+        self.jumps |= located
+        self.alone = detailed and self.rounds == 1
         if compared:
             self.latest = Latest(new, points, weight)
 

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -20,7 +21,7 @@ from torch_mcaa.picture import blank, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
 from torch_mcaa.sharing_out import shared_out
-from torch_mcaa.tolerance import Tolerance
+from torch_mcaa.tolerance import FEW_SHIFTS, Tolerance
 
 _PILOT = 4
 _BLOCK = 16
@@ -28,12 +29,21 @@ _BLOCK = 16
 _GROWTH, _SURE = 1.0, 1.1
 """A round is at most so many times what a cell has had; and what is added to what it is expected to need."""
 _GROWTH_LOCATED = 4.0
-_FEW_SHIFTS = (6.0, 2.78 / 2)
-"""What a standard error from two shifts, one round, counts for, and from four (Student over normal): two may agree at a corner by chance."""
+_LEAST_PLAIN = 3
+"""The least of a round in which nothing is to be located."""
+_TRUSTED = 3
+"""Rounds of a cell with nothing to locate before it is looked for again."""
 _STEPS = 2
 """Numbers of evaluations that a round may ask for, in each octave."""
 _PILOT_SHARE = 4
 """One part in so many of the evaluations is the pilot that an allocation is made from."""
+
+
+class Asked(NamedTuple):
+    """Evaluations a pixel, and whether there are jumps to be located; None if that is to be looked at."""
+
+    points: int
+    jumps: bool | None = None
 
 
 @dataclass
@@ -78,13 +88,13 @@ class Rounds:
                     f"raise spp to {self.pilot + self._floor} or more, or take allocation=Uniform()"
                 )
 
-    def _parts(self, asked: dict[int, int]) -> Iterator[tuple[Cell, list[int]]]:
+    def _parts(self, asked: dict[int, Asked]) -> Iterator[tuple[Cell, list[int]]]:
         """Rectangles of the cells that ask for one number of evaluations, inside the estimator's own cells, and the cells in each."""
         first = 0
         for area, count in self._areas:
-            labels = [asked.get(index, 0) for index in range(first, first + count)]
+            labels = [asked.get(index) for index in range(first, first + count)]
             for part, inside in area.rectangles(self._side, labels):
-                if labels[inside[0]]:
+                if labels[inside[0]] is not None:
                     yield part, [first + index for index in inside]
             first += count
 
@@ -95,18 +105,18 @@ class Rounds:
         expected to need, else for all that are left; or it shares out as many by the estimator's allocation.
         """
         pixels = self.task.screen.height * self.task.screen.width
-        asked = dict.fromkeys(range(len(self.histories)), self.pilot)
+        asked = dict.fromkeys(range(len(self.histories)), Asked(self.pilot))
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
-            rounds: dict[int, Round] = {}
+            rounds: dict[Asked, Round] = {}
             parts, done = list(self._parts(asked)), 0
-            spare = self.spp * pixels - self._spent - sum(each * self._pixels(index) for index, each in asked.items())
+            spare = self.spp * pixels - self._spent - sum(each.points * self._pixels(index) for index, each in asked.items())
             spare = max(0, int(spare / sum(map(self._pixels, asked))))
             for part, inside in parts:
                 each = asked[inside[0]]
                 if each not in rounds:
                     alike = [other for other, within in parts if asked[within[0]] == each]
-                    rounds[each] = self._round(each, alike, each + spare)
+                    rounds[each] = self._round(each, alike, each.points + spare)
                 if self.deadline is not None and time.perf_counter() > self.deadline:
                     return "seconds"
                 found = rounds[each].estimate(part)
@@ -128,49 +138,58 @@ class Rounds:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
                 # where the time does not last for a round of all cells, it is for some of them: the loop above watches the clock
-                asked = self._affordable(list(asked), asked, (self.deadline - now) / rate) or dict.fromkeys(asked, self._least)
+                asked = self._affordable(list(asked), asked, (self.deadline - now) / rate) or {
+                    index: Asked(self._least(each.jumps), each.jumps) for index, each in asked.items()
+                }
                 if now > self.deadline:
                     return "seconds"
 
-    def _affordable(self, active: Sequence[int], wanted: dict[int, int] | None, left: float) -> dict[int, int]:
+    def _affordable(self, active: Sequence[int], wanted: dict[int, Asked] | None, left: float) -> dict[int, Asked]:
         """What each cell may ask for if the `left` evaluations are shared in proportion to what is wanted; those that get too few go."""
-        least = self._least
         pixels = {index: self._pixels(index) for index in active}
         if wanted is None:
-            wanted = dict.fromkeys(active, int(left // sum(pixels.values())))
-        total = sum(wanted[index] * pixels[index] for index in active)
+            wanted = dict.fromkeys(active, Asked(int(left // sum(pixels.values()))))
+        total = sum(wanted[index].points * pixels[index] for index in active)
         share = min(1.0, left / max(1, total))
-        return {index: int(wanted[index] * share) for index in active if int(wanted[index] * share) >= least}
+        cut = {index: Asked(int(wanted[index].points * share), wanted[index].jumps) for index in active}
+        return {index: each for index, each in cut.items() if each.points >= self._least(each.jumps)}
 
     def _pixels(self, index: int) -> int:
         cell = self.histories[index].cell
         return cell.height * cell.width
 
-    def _needed(self, index: int) -> int:
+    def _needed(self, index: int) -> Asked:
         """What a cell is expected to need more, on a grid of numbers, so that neighbours ask alike.
 
-        Shared points come to a variance of n^-1.5 with all that a cell has had. Jumps are located anew each time, on lines that a corner's
-        variance falls with the fourth power of.
+        Where there is nothing to be located the first round had what f's steepness asks for, and another lattice of that size has to agree.
+        After that shared points come to a variance of n^-1.5 with all that a cell has had. Jumps are located anew each time, on lines that a
+        corner's variance falls with the fourth power of.
         """
         assert self.tolerance is not None and self._picture is not None
         history, excess = self.histories[index], self._excess(index)
         had = history.points
+        jumps = True if history.jumps else False if history.calm and history.rounds < _TRUSTED else None
         if history.located:
             # of the next one all that is asked is what two rounds have to show
-            excess *= (_FEW_SHIFTS[1] / _FEW_SHIFTS[history.rounds > 1]) ** 2
+            excess *= (FEW_SHIFTS[1] / FEW_SHIFTS[history.rounds > 1]) ** 2
             more = had * min(_GROWTH_LOCATED, _SURE * excess**0.25)
+        elif jumps is False and history.rounds == 1:
+            # less the pilot
+            return Asked(max(_LEAST_PLAIN, round(had) - 1), False)
         else:
             more = had * min(_GROWTH, _SURE * excess ** (2 / 3) - 1)
-        step = math.ceil(_STEPS * math.log2(max(1.0, more / self.estimator.again)))
+        least = self._least(jumps)
+        step = math.ceil(_STEPS * math.log2(max(1.0, more / least)))
         # one more than the first round had: another lattice
-        return math.ceil(self.estimator.again * 2 ** (step / _STEPS)) + 1
+        return Asked(math.ceil(least * 2 ** (step / _STEPS)) + 1, jumps)
 
-    def _round(self, asked: int, active: Sequence[Cell], most: int) -> Round:
+    def _round(self, wanted: Asked, active: Sequence[Cell], most: int) -> Round:
         """The next round of some parts of the screen, of at most `asked` evaluations a pixel and with all its points under the cap.
 
         Under a tolerance an estimator may take up to `most` where it pays.
         """
         left = int(self.spp * self.task.screen.height * self.task.screen.width - self._spent)
+        asked = wanted.points
         if self.allocated and (self.number or self._known is not None):
             assert isinstance(self.estimator, Pixelwise)
             inside = torch.zeros(self.task.screen.height, self.task.screen.width, dtype=torch.bool, device=self.task.device)
@@ -184,16 +203,15 @@ class Rounds:
             if self.tolerance is None or most < asked:
                 current = self.estimator.round(self.task, asked, self.number)
             else:
-                current = self.estimator.round_within(self.task, asked, self.number, most)
+                current = self.estimator.round_within(self.task, asked, self.number, most, self.tolerance, wanted.jumps)
             # a cut pattern can hold more than its share
             if asked == self.estimator.fewest or sum(current.points(cell) for cell in active) <= left:
                 return current
             asked -= 1
 
-    @property
-    def _least(self) -> int:
+    def _least(self, jumps: bool | None) -> int:
         """The fewest evaluations a pixel of a later round."""
-        return self._floor if self.allocated else self.estimator.again
+        return self._floor if self.allocated else _LEAST_PLAIN if jumps is False else self.estimator.again
 
     @property
     def _floor(self) -> int:
@@ -217,6 +235,8 @@ class Rounds:
             propagate=self.task.integrand.nonfinite == "propagate",
             compared=self.tolerance is not None,
             located=new.model is not None and self.estimator.locates(new.model),
+            calm=new.model is not None and self.estimator.calm(new.model),
+            detailed=new.model is not None and self.estimator.detailed(new.model),
         )
         if new.heavy is not None:
             self.heavy.append((had.cell, new.heavy))
@@ -227,13 +247,13 @@ class Rounds:
         self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _met(self, index: int) -> bool:
-        return self._excess(index) <= 1
+        return not self.histories[index].alone and self._excess(index) <= 1
 
     def _excess(self, index: int) -> float:
         """A cell's largest variance in parts of what is allowed, where it is told by two shifts at a few pixels with Student's quantile."""
         assert self.tolerance is not None
         history, excess = self.histories[index], self.tolerance.excess(*self._seen(index))
-        return _FEW_SHIFTS[history.rounds > 1] ** 2 * excess if history.located else excess
+        return FEW_SHIFTS[history.rounds > 1] ** 2 * excess if history.located else excess
 
     def _seen(self, index: int) -> tuple[Tensor, Tensor]:
         """A cell's values, and their variances without the floor for the unseen, which no number of samples would end."""

@@ -11,6 +11,11 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 
+FEW_SHIFTS = (2.7, 1.27)
+"""What a standard error from two shifts, and from four, counts for: they may agree by chance. With a true one of s tolerances two report less
+than 1 / c with a probability of 0.8 / (c s), four of 1 / (c s)^2, and then are beyond two tolerances in P(|z| > 2 / s): at most 0.05, whatever s.
+"""
+
 
 @dataclass(frozen=True)
 class Tolerance:
@@ -30,7 +35,11 @@ class Tolerance:
         if self.absolute == 0 and self.relative == 0:
             raise McaaError("a tolerance must be above 0, got 0; for instance tolerance=1e-3")
 
+    def allowed(self, value: Tensor) -> Tensor:
+        """The largest standard error of values."""
+        return (self.relative * value.abs()).clamp_min(self.absolute)
+
     def excess(self, value: Tensor, variance: Tensor) -> float:
         """The largest ratio of a pixel's variance to that which is allowed: the tolerance is met if it is at most 1; NaN counts as +inf."""
-        allowed = (self.relative * value.abs()).clamp_min(self.absolute)
+        allowed = self.allowed(value)
         return float(torch.nan_to_num(variance / (allowed * allowed), nan=torch.inf, posinf=torch.inf).max())

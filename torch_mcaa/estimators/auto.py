@@ -14,16 +14,18 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
+from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
-from torch_mcaa.estimators.parts import MODELS, Part, Parts, cell_of, located
+from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
+from torch_mcaa.tolerance import Tolerance
 
 _PILOT = 0x9110
 _SURE = 12
@@ -72,6 +74,12 @@ class Auto(Estimator):
     def locates(self, model: Tensor) -> bool:
         return located(model)
 
+    def calm(self, model: Tensor) -> bool:
+        return not located(model) and not bool((model == CROWDED).any())
+
+    def detailed(self, model: Tensor) -> bool:
+        return bool((model >= SAMPLED).any())
+
     def check(self, task: Task) -> None:
         Shared().check(task)
 
@@ -90,10 +98,10 @@ class Auto(Estimator):
             return Shared().round(task, spp, number)
         return AutoRound(task, spp, number)
 
-    def round_within(self, task: Task, spp: int, number: int, most: int) -> Round:
-        if spp < _FEWEST or not _can_locate(task):
+    def round_within(self, task: Task, spp: int, number: int, most: int, wanted: Tolerance, jumps: bool | None) -> Round:
+        if not _can_locate(task):
             return self.round(task, spp, number)
-        return AutoRound(task, spp, number, most=most)
+        return AutoRound(task, spp, number, most=most, wanted=wanted, jumps=jumps if spp >= _FEWEST else False)
 
 
 def _can_locate(task: Task) -> bool:
@@ -107,13 +115,27 @@ def _can_locate(task: Task) -> bool:
 class AutoRound(Round):
     """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part.
 
-    Blocks whose jumps could not be located with `spp` evaluations a pixel have up to `most`.
+    Under a tolerance, what is `wanted`, blocks whose jumps could not be located with `spp` evaluations a pixel have up to `most`, and where
+    nothing is to be located as many as f's steepness asks for. If there are no `jumps` there is a plain lattice alone; None is to look.
     """
 
-    def __init__(self, task: Task, spp: int, number: int, plain: bool = True, most: int | None = None) -> None:
+    def __init__(
+        self,
+        task: Task,
+        spp: int,
+        number: int,
+        plain: bool = True,
+        most: int | None = None,
+        wanted: Tolerance | None = None,
+        jumps: bool | None = None,
+    ) -> None:
         self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
-        self.most = most
+        self.most, self.wanted, self.jumps = most, wanted, jumps
         self.per_pixel = float(spp)
+        self.first = number == 0
+        if wanted is not None and jumps is not False:
+            assert isinstance(task.filter, SeparableFilter)
+            self.bandwidth = Bandwidth(task.filter)
 
     def points(self, cell: Cell) -> int:
         return self.spp * cell.height * cell.width
@@ -121,11 +143,11 @@ class AutoRound(Round):
     def estimate(self, cell: Cell) -> Estimate:
         pixels = cell.height * cell.width
         ask = self.parts.ask(cell, self.spp * pixels)
-        if pixels < _FEW:
+        if pixels < _FEW or self.jumps is False:
             return self.parts.joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
         self.parts.random = is_random(ask, self.parts.seed)
         try:
-            judged, texture, spread = self._pilot(cell, ask)
+            judged, texture, spread, counts = self._pilot(cell, ask)
         except Spent:
             part = self.parts.sampled(cell, ask.left // pixels, ask.left)
             return self.parts.joined(cell, [(cell, part)], ask).estimate()
@@ -145,14 +167,27 @@ class AutoRound(Round):
             budget = int(
                 plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
             )
-            part = self.parts.located(plan.cell, plan.lines, budget, plan.steps, jumping[blocks_in(cell, plan.cell)])
+            more = 0 if self.most is None else max(0, self.most * plan.cell.height * plan.cell.width - budget)
+            part = self.parts.located(
+                plan.cell, plan.lines, budget, plan.steps, jumping[blocks_in(cell, plan.cell)], self.wanted, more
+            )
             done.append((plan.cell, part))
-            left, expected = left - part.spent, expected - plan.cost
+            left, expected = left - min(budget, part.spent), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
-        return self.parts.sampled_further(part, cell, spread, left, None if self.most is None else self.spp).estimate()
+        if counts is None or self.most is None:
+            part = self.parts.sampled_further(part, cell, spread, left, None if self.most is None else self.spp)
+        else:
+            part = self.parts.sampled_first(part, cell, counts, self.most * pixels - part.spent)
+        crowded = (judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1)
+        crowded = crowded.repeat_interleave(BLOCK, 0).repeat_interleave(BLOCK, 1)[: cell.height, : cell.width]
+        part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
+        return part.estimate()
 
-    def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor]:
-        """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples."""
+    def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor, Tensor | None]:
+        """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples.
+
+        And, under a tolerance, how many points a pixel a lattice needs.
+        """
         parts = self.parts
         x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64) for axis in (0, 1))
         row, col, bottom, right = cell.row - _RING, cell.col - _RING, cell.row + cell.height + _RING, cell.col + cell.width + _RING
@@ -165,7 +200,14 @@ class AutoRound(Round):
         blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
+        if self.jumps:
+            judged.verdict.fill_(Verdict.JUMPS)
+            judged.tried.fill_(_SURE)
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
+        counts = None
+        if self.wanted is not None and self.first:
+            frequency, std, level = frequency_of(ask, cell, parts.seed)
+            counts = self.bandwidth.points(frequency, std, self.wanted.allowed(level))
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
         steps = [
             torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
@@ -175,7 +217,7 @@ class AutoRound(Round):
         texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
         spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         # a few numbers a block, of which the CPU makes plans
-        return judged.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64)
+        return judged.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64), counts
 
 
 def _jumping(cell: Cell, judged: Judged) -> Tensor:

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
+from torch_mcaa.tolerance import Tolerance
 
 MANY = 100
 """Pixels that bear each other out: fewer say little of what none of them met, or of which of two estimates is better."""
@@ -125,6 +126,14 @@ class Estimator(ABC):
         """Whether jumps were located in any of the pixels that `model` (h, w) is of."""
         return False
 
+    def calm(self, model: Tensor) -> bool:
+        """Whether a later round need not look for jumps in the pixels that `model` (h, w) is of."""
+        return False
+
+    def detailed(self, model: Tensor) -> bool:
+        """Whether f has so much detail in the pixels that `model` (h, w) is of that one lattice alone does not tell how far it is off."""
+        return False
+
     def bias(self, task: Task) -> tuple[str, ...]:
         """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
         return ()
@@ -137,8 +146,11 @@ class Estimator(ABC):
     def round(self, task: Task, spp: int, number: int) -> Round:
         """Round `number` (0, 1, ...) with at most `spp` >= `fewest` evaluations a pixel; rounds are independent of one another."""
 
-    def round_within(self, task: Task, spp: int, number: int, most: int) -> Round:
-        """A round where evaluations may be spent unevenly, as under a tolerance: parts that pay for it have up to `most` a pixel."""
+    def round_within(self, task: Task, spp: int, number: int, most: int, wanted: Tolerance, jumps: bool | None) -> Round:
+        """A round under a tolerance, where evaluations may be spent unevenly: parts that pay for it have up to `most` a pixel.
+
+        jumps: whether earlier rounds have found any to be located, or None if that is to be looked at.
+        """
         return self.round(task, spp, number)
 
 

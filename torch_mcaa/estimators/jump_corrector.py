@@ -27,7 +27,8 @@ _AGAIN = 0.75
 """What a second shift takes, in parts of the first's cost."""
 _ENOUGH = 2e-5
 """A standard error that is not worth refining, in ranges of the cell's values."""
-_FINER = 3
+_FINER = (3, 9)
+"""How many times as many lines finer lattices have; the second where a tolerance asks for it."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class Corrector:
         allowed: bool (h, w), pixels that may be corrected.
         steps: how often a segment of 1 px is halved, at most.
         jumping: bool (blocks,), those that are known to jump and are not judged again.
+        enough: (C, h, w) standard errors that are not worth refining; None for a part in 50,000 of the cell's range of values.
+        more: evaluations for what is worth it, beyond those of `ask`.
     """
 
     def __init__(
@@ -68,7 +71,10 @@ class Corrector:
         allowed: Tensor,
         steps: int,
         jumping: Tensor,
+        enough: Tensor | None = None,
+        more: int = 0,
     ) -> None:
+        self.enough, self.more = enough, more
         self.ask, self.cell, self.seed, self.base, self.plain = ask, cell, seed, base, plain.to(torch.float64)
         self.work = Leveller(ask, cell, filter, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
@@ -122,37 +128,42 @@ class Corrector:
 
     def _refined(self, coarse: Level, value: Tensor, variance: Tensor, segments: int) -> Corrected:
         """With two shifts of a finer lattice where the standard error is largest."""
-        result = _of(coarse, value, variance, torch.zeros_like(coarse.near))
-        count = _FINER * self.base.count
-        count += 1 - count % 2
-        finite = self.plain.nan_to_num(0.0, 0.0, 0.0)
-        span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None]
-        worst = torch.where(coarse.near, variance.sqrt() / span.clamp_min(1e-300), 0).amax(0)
+        fine = torch.zeros_like(coarse.near)
+        if self.enough is None:
+            finite = self.plain.nan_to_num(0.0, 0.0, 0.0)
+            enough, levels = _ENOUGH * (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None], _FINER[:1]
+        else:
+            enough, levels = self.enough[:, coarse.pixels.rows, coarse.pixels.cols], _FINER
+            self.ask.left += self.more
         near = coarse.pixels.plane(coarse.near)
         density = segments / max(1, int(coarse.near.sum()))
-        for times in (1, 4, 16, 64, 256, 1024):
-            chosen = near & dilated(coarse.pixels.plane(worst > _ENOUGH * times), 2)
-            pixels = int(dilated(chosen, self.work.window.halo).sum())
-            if not pixels:
-                return result
-            if 2 * pixels * count * (1 + density / self.base.count * STEPS[0]) < self.ask.left:
+        for level, finer in enumerate(levels):
+            worst = torch.where(coarse.near, variance.sqrt() / enough.clamp_min(1e-300), 0).amax(0)
+            count = finer * self.base.count
+            count += 1 - count % 2
+            for times in (1, 4, 16, 64, 256, 1024):
+                chosen = near & dilated(coarse.pixels.plane(worst > times), 2)
+                pixels = int(dilated(chosen, self.work.window.halo).sum())
+                if not pixels or 2 * pixels * count * (1 + density / self.base.count * STEPS[0]) < self.ask.left:
+                    break
+            else:
                 break
-        else:
-            return result
-        self.work.finest = _finest(STEPS[0])
-        try:
-            third = self.work.shift(count, 2, chosen)
-            fourth = self.work.shift(count, 3, chosen, third)
-        except Spent:
-            return result
-        core = replace(third, core=third.core & fourth.core)
-        finer = _merged(core, fourth)
-        fine = coarse.pixels.of(core.pixels, core.core, False)
-        finer_value, finer_variance = (coarse.pixels.of(core.pixels, one, 0.0) for one in finer)
-        # thin pieces with tips may have been lost on one of the finer lattices
-        fine = fine & (finer_variance <= variance).all(0)
-        variance = _beyond(coarse, torch.where(fine, finer_variance, variance), fine)
-        return _of(coarse, torch.where(fine, finer_value, value), variance, fine)
+            if not pixels:
+                break
+            self.work.finest = _finest(STEPS[0])
+            try:
+                third = self.work.shift(count, 2 + 2 * level, chosen)
+                fourth = self.work.shift(count, 3 + 2 * level, chosen, third)
+            except Spent:
+                break
+            core = replace(third, core=third.core & fourth.core)
+            finer_value, finer_variance = (coarse.pixels.of(core.pixels, one, 0.0) for one in _merged(core, fourth))
+            # thin pieces with tips may have been lost on one of the finer lattices
+            better = coarse.pixels.of(core.pixels, core.core, False) & (finer_variance <= variance).all(0)
+            fine |= better
+            value = torch.where(better, finer_value, value)
+            variance = _beyond(coarse, torch.where(better, finer_variance, variance), fine)
+        return _of(coarse, value, variance, fine)
 
     def _planned(self, found: list[Segments], wanted: Tensor) -> tuple[Axes, Tensor]:
         """How exactly to bisect, and which blocks, so that two shifts can be paid for: the axes, and the pixels still wanted."""

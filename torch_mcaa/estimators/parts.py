@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -21,9 +21,16 @@ from torch_mcaa.estimators.shared_lattice import LatticeRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import width_of
+from torch_mcaa.tolerance import FEW_SHIFTS, Tolerance
 
-MODELS = ("lattice", "jumps located", "jumps located on a finer lattice", "no jumps to locate: more samples")
-PLAIN, LOCATED, FINER, SAMPLED = range(4)
+MODELS = (
+    "lattice",
+    "jumps located",
+    "jumps located on a finer lattice",
+    "no jumps to locate: more samples",
+    "more jumps than are located: more samples",
+)
+PLAIN, LOCATED, FINER, SAMPLED, CROWDED = range(5)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
@@ -132,8 +139,12 @@ class Parts:
         blind = None if found.blind is None else found.blind[inner]
         return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp, blind)
 
-    def located(self, cell: Cell, count: int, budget: int, steps: int, jumping: Tensor) -> Part:
+    def located(
+        self, cell: Cell, count: int, budget: int, steps: int, jumping: Tensor, wanted: Tolerance | None = None, more: int = 0
+    ) -> Part:
         """A lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
+
+        And `more` where that does not come to what is `wanted`.
 
         steps: how often a segment of 1 px is halved, at most.
         jumping: bool (blocks,), those of the cell that are known to jump.
@@ -160,7 +171,8 @@ class Parts:
         allowed = self._allowed(cell, found.invalid, inner) & (not self.random)
         if heavy is not None:
             allowed &= ~heavy.any(0)
-        result = Corrector(ask, cell, task.filter, self.seed, base, value, allowed, steps, jumping).run()
+        enough = None if wanted is None else wanted.allowed(value.to(torch.float64)) / FEW_SHIFTS[0]
+        result = Corrector(ask, cell, task.filter, self.seed, base, value, allowed, steps, jumping, enough, more).run()
         model = torch.full((cell.height, cell.width), PLAIN, dtype=torch.uint8, device=task.device)
         near = torch.zeros_like(model, dtype=torch.bool)
         if result is not None:
@@ -226,6 +238,30 @@ class Parts:
             if part.blind is not None:
                 blind[:, *at] = part.blind
         return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density, blind)
+
+    def sampled_first(self, part: Part, cell: Cell, counts: Tensor, left: int) -> Part:
+        """Of the `left` evaluations so many a pixel, `counts` (blocks,), in the blocks that have had none."""
+        density = torch.as_tensor(part.density).expand(cell.height, cell.width).clone()
+        had = density[::BLOCK, ::BLOCK].flatten() > 0
+        # neighbours alike
+        steps = (2 ** ((4 * counts.to(torch.float64).log2()).ceil() / 4)).floor().long()
+        heavy = torch.zeros_like(part.value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
+        labels = [0 if done else int(count) for count, done in zip(steps, had, strict=True)]
+        assert part.blind is not None
+        pixels = [(where, labels[inside[0]]) for where, inside in cell.rectangles(BLOCK, labels) if labels[inside[0]]]
+        total = sum(where.height * where.width * label for where, label in pixels)
+        for where, label in pixels:
+            at, count = where.within(cell), max(1, int(label * min(1.0, left / max(1, total))))
+            more = self.sampled(where, count, where.height * where.width * count)
+            part.value[:, *at], part.variance[:, *at] = more.value, more.variance
+            part.blind[:, *at] = 0 if more.blind is None else more.blind
+            part.points[at] += more.points
+            part.invalid[at] += more.invalid
+            part.model[at] = SAMPLED if count > _FEWEST else PLAIN
+            density[at] = count
+            if more.heavy is not None:
+                heavy[:, *at] |= more.heavy
+        return replace(part, heavy=heavy if bool(heavy.any()) else None, density=density)
 
     def sampled_further(self, part: Part, cell: Cell, spread: Tensor, left: int, most: int | None) -> Part:
         """More samples, of the `left` evaluations, in the blocks with pixels whose jumps were not located and that are not known well enough.
