@@ -62,7 +62,7 @@ class Integrand:
         except Exception as error:
             place = f"x in [{float(x.min()):g}, {float(x.max()):g}], y in [{float(y.min()):g}, {float(y.max()):g}]"
             raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {len(x)} points with {place}") from error
-        values = [_checked(value, x, self.dtype)[:count].view(shape) for value in _as_channels(returned, x)]
+        values = [_checked(value, x, self.dtype)[:count].view(shape) for value in as_channels(returned, x)]
         if self.channels not in (0, len(values)):
             raise McaaError(
                 f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call"
@@ -124,7 +124,8 @@ def _flat(places: Tensor, shape: torch.Size) -> Tensor:
     return row
 
 
-def _as_channels(returned: object, x: Tensor) -> Sequence[object]:
+def as_channels(returned: object, x: Tensor) -> Sequence[object]:
+    """What f returned for x, channel by channel."""
     if isinstance(returned, Tensor):
         if returned.shape == x.shape:
             return [returned]

@@ -30,7 +30,8 @@ class Measured:
         value, variance: (C, h, w); the variance is 0 without `contrast`.
         invalid: (h, w) int32.
         heavy: (C, h, w) bool, where f has no second moment, or None.
-        samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0.
+        samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0. Where f is followed the codes of
+            `Task.coded` are one channel more.
         at: where they lie.
         blind: (C, h, w) the part of the variance that is the audit's, or None if it saw nothing.
     """
@@ -167,7 +168,7 @@ class LatticeRound(Round):
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
             x = task.screen.x_of(col).to(task.device, asked)
             y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
-            values = task.integrand(x.expand(shape), y)
+            values = (task.integrand if kept is None else task.coded)(x.expand(shape), y)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
                 values = [value.masked_fill(bad, 0) for value in values]
@@ -191,7 +192,7 @@ class LatticeRound(Round):
                     masks.weigh(finite, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
                 if kept is not None:
                     kept.append(torch.stack(values))
-                for channel, value in enumerate(values):
+                for channel, value in enumerate(values[: task.integrand.channels]):
                     if len(sums) <= channel:
                         sums.append(splat.start(channel))
                         held.append({})
@@ -209,6 +210,7 @@ class LatticeRound(Round):
         extra = None
         if self.audit is not None:
             values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))
+            values = values[: task.integrand.channels]
             if bad is not None and counts is None:
                 return values[0], None, None, None, torch.empty(0)
             if bad is not None and counts is not None:
