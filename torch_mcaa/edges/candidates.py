@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -18,6 +19,8 @@ _MANY = 0.02
 """The share of differences that are not 0 from which on a quick test for all of them pays."""
 _ROW, _COL = 0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F
 """Odd numbers that no small differences of rows and columns cancel, modulo 2^64."""
+_AT_ONCE = 1 << 17
+"""Samples whose differences are held at a time."""
 _FOLLOWED = 0.2
 """A part of a segment may hold a jump while its change is over this share of the segment's."""
 
@@ -79,10 +82,24 @@ def candidates(samples: Samples, axis: int) -> Segments:
 
     A difference that rounding explains is none. Where f is followed, also those between whose ends it decides differently.
     """
-    differences = samples.differences(axis)
-    size, values = differences.size, samples.values.flatten(1)
+    values = samples.values
     # one by one: along a dimension it is several times slower
-    span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if len(v) else v.new_zeros(()) for v in values])
+    span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if v.numel() else v.new_zeros(()) for v in values])
+    if values.numel() <= _AT_ONCE:
+        return _candidates(samples, axis, span)
+    # a few lines after the other: differences take more than the samples
+    step, parts = max(1, _AT_ONCE * samples.count // values.numel()), []
+    for first in range(0, samples.count, step):
+        part = _candidates(samples.some(slice(first, first + step)), axis, span)
+        part.key[:, 0] += first
+        parts.append(part)
+    return joined(parts)
+
+
+def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
+    """`candidates` on some lines; `span` (C,) the ranges of all values."""
+    differences = samples.differences(axis)
+    size = differences.size
     some = size > _FAINT * span[:, None]
     many = int(some.count_nonzero()) > _MANY * some.numel()
     if many:
@@ -96,7 +113,7 @@ def candidates(samples: Samples, axis: int) -> Segments:
     sides = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
     change = size[channel, index]
     largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
-    chosen = change > torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(values.dtype).eps * largest)
+    chosen = change > torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(size.dtype).eps * largest)
     # from here on what is no candidate counts as no difference
     if many:
         size.masked_fill_(~some, 0)
@@ -136,6 +153,13 @@ def candidates(samples: Samples, axis: int) -> Segments:
     phase = (samples.x if axis == 0 else samples.y)[line]
     key = torch.stack([line, row, col], 1)
     return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet, decided)
+
+
+def joined(parts: Sequence[Segments]) -> Segments:
+    """The segments of parts along one axis."""
+    names = [field.name for field in fields(parts[0])[1:]]
+    along = [0 if name == "key" else -1 for name in names]
+    return Segments(parts[0].axis, *(torch.cat([getattr(p, n) for p in parts], d) for n, d in zip(names, along, strict=True)))
 
 
 def _there_and_back(codes: Differences, flat: Tensor, near: Tensor) -> Tensor:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -63,6 +64,11 @@ class Samples(ABC):
     def count(self) -> int:
         """Points, and lines along either axis, in a pixel."""
         return len(self.x)
+
+    def some(self, lines: slice) -> Self:
+        """Those on some of the lines, of which the third axis of `values` is."""
+        codes = None if self.codes is None else self.codes[:, :, lines]
+        return replace(self, x=self.x[lines], y=self.y[lines], values=self.values[:, :, lines], codes=codes)
 
     @abstractmethod
     def differences(self, axis: int, codes: bool = False) -> Differences:

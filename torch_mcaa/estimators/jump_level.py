@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, joined
 from torch_mcaa.edges.candidates import Segments, candidates, without
+from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.foretell import narrowed_all
@@ -35,6 +36,7 @@ _CORE = 0.03
 """A pixel's share of the greatest density of jumps around it, from which on a second shift is made for it."""
 _NONE = 0.05
 _DECIDED = 0.5
+"""Of a decision whose jump is not known, what it counts for in means of all."""
 _SHIFT = 0x11E5
 
 
@@ -217,7 +219,7 @@ class Leveller:
             from torch_mcaa.estimators.decided import crossings
 
             told, left = zip(*(crossings(self.ask, s.take(s.decided > 0), seed) for s in segments), strict=True)
-            rest = [_both(s.take(s.decided == 0), more) for s, more in zip(segments, left, strict=True)]
+            rest = [together([s.take(s.decided == 0), more]) for s, more in zip(segments, left, strict=True)]
             found = self._bisected(rest, samples, known, seed)
             return [joined([a, b]) for a, b in zip(told, found, strict=True)]
         apart = 2.5 / samples.count
@@ -253,15 +255,6 @@ def _sizes(segments: Segments) -> Tensor:
     if not bool(decided.any()):
         return size
     return torch.where(decided, size.clamp_min(_DECIDED * float(size[decided].mean())), size)
-
-
-def _both(a: Segments, b: Segments) -> Segments:
-    """The segments of two parts along one axis."""
-    if len(b) == 0:
-        return a
-    names = [field.name for field in fields(a)[1:]]
-    along = [0 if name == "key" else -1 for name in names]
-    return Segments(a.axis, *(torch.cat([getattr(a, n), getattr(b, n)], d) for n, d in zip(names, along, strict=True)))
 
 
 def _share(horizontal: Tensor, vertical: Tensor) -> Tensor:

@@ -137,7 +137,7 @@ class LatticeRound(Round):
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         blind = extra if extra is not None and bool((extra > 0).any()) else None
-        return Measured(value, variance, invalid, heavy, torch.cat(kept, 2) if kept else None, at, blind)
+        return Measured(value, variance, invalid, heavy, kept[0] if kept else None, at, blind)
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
@@ -191,7 +191,11 @@ class LatticeRound(Round):
                     masks.weigh(full, masks.batches[number], group, ones)
                     masks.weigh(finite, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
                 if kept is not None:
-                    kept.append(torch.stack(values))
+                    # in place: joined in the end they would be there twice
+                    if not kept:
+                        kept.append(values[0].new_empty(len(values), at.strips, strip.count, at.cols))
+                    for channel, value in enumerate(values):
+                        kept[0][channel, :, planes] = value
                 for channel, value in enumerate(values[: task.integrand.channels]):
                     if len(sums) <= channel:
                         sums.append(splat.start(channel))
