@@ -128,7 +128,7 @@ def channels_of(returned: object, x: Tensor, dtype: torch.dtype) -> list[Tensor]
     Raises:
         McaaError: another shape, dtype or device than f may return.
     """
-    return [_checked(value, x, dtype) for value in _as_channels(returned, x)]
+    return [_checked(value, x, dtype) for value in as_channels(returned, x)]
 
 
 def _flat(places: Tensor, shape: torch.Size) -> Tensor:
@@ -142,7 +142,8 @@ def _flat(places: Tensor, shape: torch.Size) -> Tensor:
     return row
 
 
-def _as_channels(returned: object, x: Tensor) -> Sequence[object]:
+def as_channels(returned: object, x: Tensor) -> Sequence[object]:
+    """What f returned for x, channel by channel."""
     if isinstance(returned, Tensor):
         if returned.shape == x.shape:
             return [returned]

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError, McaaWarning
-from torch_mcaa.estimators import Auto, Estimator
+from torch_mcaa.estimators import Auto, Estimator, JumpCorrected
+from torch_mcaa.estimators.base import Task
 from torch_mcaa.filters import Filter, Gaussian
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function
@@ -18,17 +19,18 @@ from torch_mcaa.render import render
 from torch_mcaa.replay.autocast import Autocast
 from torch_mcaa.replay.function import Replayed
 from torch_mcaa.replay.gradients import Replay
-from torch_mcaa.replay.plan import plan
+from torch_mcaa.replay.plan import followed, plan
 from torch_mcaa.texture import Texture
 
 
 class Supersampler(torch.nn.Module):
     """A layer from functions, or textures, to anti-aliased pictures, differentiable in everything they depend on.
 
-    The picture is that of `render`. Its gradient is that of (1): with respect to what f(x, y) uses (parameters of a module, tensors of a
-    closure), and, with the derivative moved onto the filter, with respect to an `extent`, the `transform` of a `Texture` and the std of a
-    `Gaussian`. The forward pass keeps no tape: the backward pass evaluates f again, in blocks, so memory does not grow with `spp`. What f
-    reads must not change between the two, and f must not draw random numbers.
+    The picture is that of `render`, except that where the trace can follow f, `Auto()` and `JumpCorrected()` take the jumps at its decisions
+    from those, located by what crosses zero there, as the gradient does. Its gradient is that of (1): with respect to what f(x, y) uses
+    (parameters of a module, tensors of a closure), and, with the derivative moved onto the filter, with respect to an `extent`, the
+    `transform` of a `Texture` and the std of a `Gaussian`. The forward pass keeps no tape: the backward pass evaluates f again, in blocks, so
+    memory does not grow with `spp`. What f reads must not change between the two, and f must not draw random numbers.
 
     With `estimator=Shared(Lattice())` and `decorrelate=False` the backward pass has the forward's points, and its gradient with respect to
     what f uses is the exact derivative of the returned value.
@@ -62,7 +64,8 @@ class Supersampler(torch.nn.Module):
             extent: (x0, x1, y0, y1); a tensor of the four that requires a gradient gets one.
             redraw: new points at each call.
             decorrelate: points of its own for the backward pass, so that the gradient of a loss that is not linear in the picture is unbiased.
-            discontinuities: "auto" counts what jumps of f contribute as they move, too; False is plain automatic differentiation.
+            discontinuities: "auto" traces f's decisions, and counts what its jumps contribute as they move, too; False is plain automatic
+                differentiation of the picture of `render`.
 
         Raises:
             McaaError: an argument that cannot be used.
@@ -131,8 +134,13 @@ class Supersampler(torch.nn.Module):
                     )
         autocast = Autocast.now(device.type)
         with torch.autocast(device.type, enabled=False):
-            replay = self._replay(f, autocast, seed, dtype, device) if torch.is_grad_enabled() else None
-            picture = self._render(autocast.of(f), self.size, seed, dtype, device)
+            task = self._task(f, seed, dtype, device)
+            replay = self._replay(task, autocast) if torch.is_grad_enabled() else None
+            function = autocast.of(f)
+            # a texture jumps at its sides alone
+            if self.discontinuities and isinstance(self.estimator, Auto | JumpCorrected) and not isinstance(f, Texture):
+                function = followed(task, function)
+            picture = self._render(function, self.size, seed, dtype, device)
         if replay is None or not replay.parameters:
             return picture
         return Replayed.apply(replay, picture, *replay.parameters)  # pyright: ignore[reportReturnType]
@@ -152,9 +160,12 @@ class Supersampler(torch.nn.Module):
             progress=False,
         ).image
 
-    def _replay(self, f: Function, autocast: Autocast, seed: int, dtype: torch.dtype, device: torch.device) -> Replay:
-        extent, screen = self.extent, Screen.of(self.size, self._extent())
-        task = task_of(f, screen, self.filter, self.boundary, "raise", seed, dtype, device, extent is None)
+    def _task(self, f: Function, seed: int, dtype: torch.dtype, device: torch.device) -> Task:
+        screen = Screen.of(self.size, self._extent())
+        return task_of(f, screen, self.filter, self.boundary, "raise", seed, dtype, device, self.extent is None)
+
+    def _replay(self, task: Task, autocast: Autocast) -> Replay:
+        extent = self.extent
         wanted = extent if isinstance(extent, Tensor) and extent.requires_grad else None
         return plan(task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities))
 

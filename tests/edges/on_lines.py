@@ -96,6 +96,7 @@ def segments(
         torch.stack([index, index, index], 1),
         torch.zeros(count, dtype=torch.bool),
         torch.zeros(count, dtype=torch.int64),
+        torch.zeros(count, dtype=torch.float64),
     )
 
 

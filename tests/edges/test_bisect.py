@@ -151,6 +151,7 @@ def test_a_channel_that_does_not_stand_out_is_not_followed_but_jumps_along() -> 
         two.key,
         two.single,
         two.quiet,
+        two.decided,
     )
     ask = Ask(lambda x, y: torch.stack([step(x > 10.4), 4 * step(x > 10.4) + step(x > 10.2)]))
     both.after[1] = 5

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.lines import Samples
+from torch_mcaa.edges.lines import Differences, Samples
 
 _TIMES = 3.0
 _AROUND = 4
@@ -18,6 +19,8 @@ _MANY = 0.02
 """The share of differences that are not 0 from which on a quick test for all of them pays."""
 _ROW, _COL = 0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F
 """Odd numbers that no small differences of rows and columns cancel, modulo 2^64."""
+_AT_ONCE = 1 << 17
+"""Samples whose differences are held at a time."""
 _FOLLOWED = 0.2
 """A part of a segment may hold a jump while its change is over this share of the segment's."""
 
@@ -35,6 +38,7 @@ class Segments:
         key: int64 (S, 3), line, row and column: what random numbers hang on.
         single: bool (S,), one sample alone is between this segment and a next, which changes back: perhaps a thin piece.
         quiet: (S,) -1 or 1, the side on which the next segment shows no jump, 0 where there is none.
+        decided: (S,) a number above 0 that says which decision of f, if it is followed, differs between the ends; 0 where none does.
     """
 
     axis: int
@@ -48,6 +52,7 @@ class Segments:
     key: Tensor
     single: Tensor
     quiet: Tensor
+    decided: Tensor
 
     def __len__(self) -> int:
         return len(self.across)
@@ -75,12 +80,26 @@ def threshold(change: Tensor) -> Tensor:
 def candidates(samples: Samples, axis: int) -> Segments:
     """Segments between neighbours on a line that differ by over three times the median of the four differences on either side.
 
-    A difference that rounding explains is none.
+    A difference that rounding explains is none. Where f is followed, also those between whose ends it decides differently.
     """
-    differences = samples.differences(axis)
-    size, values = differences.size, samples.values.flatten(1)
+    values = samples.values
     # one by one: along a dimension it is several times slower
-    span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if len(v) else v.new_zeros(()) for v in values])
+    span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if v.numel() else v.new_zeros(()) for v in values])
+    if values.numel() <= _AT_ONCE:
+        return _candidates(samples, axis, span)
+    # a few lines after the other: differences take more than the samples
+    step, parts = max(1, _AT_ONCE * samples.count // values.numel()), []
+    for first in range(0, samples.count, step):
+        part = _candidates(samples.some(slice(first, first + step)), axis, span)
+        part.key[:, 0] += first
+        parts.append(part)
+    return joined(parts)
+
+
+def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
+    """`candidates` on some lines; `span` (C,) the ranges of all values."""
+    differences = samples.differences(axis)
+    size = differences.size
     some = size > _FAINT * span[:, None]
     many = int(some.count_nonzero()) > _MANY * some.numel()
     if many:
@@ -94,15 +113,20 @@ def candidates(samples: Samples, axis: int) -> Segments:
     sides = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
     change = size[channel, index]
     largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
-    chosen = change > torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(values.dtype).eps * largest)
+    chosen = change > torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(size.dtype).eps * largest)
     # from here on what is no candidate counts as no difference
     if many:
         size.masked_fill_(~some, 0)
     size[channel[~chosen], index[~chosen]] = 0
     channel, index = channel[chosen], index[chosen]
+    codes = None if samples.codes is None else samples.differences(axis, codes=True)
+    changed = index[:0] if codes is None else codes.size[0].nonzero()[:, 0]
     flat, owner = (
-        torch.unique(index, return_inverse=True) if len(size) > 1 else (index, torch.arange(len(index), device=size.device))
+        torch.unique(torch.cat([index, changed]), return_inverse=True)
+        if len(size) > 1 or codes is not None
+        else (index, torch.arange(len(index), device=size.device))
     )
+    owner = owner[: len(index)]
     before, after = differences.ends(flat)
     least = torch.full_like(before, torch.inf)
     least[channel, owner] = threshold(after - before)[channel, owner]
@@ -114,6 +138,12 @@ def candidates(samples: Samples, axis: int) -> Segments:
     start, end = (value.unflatten(1, near.shape) for value in differences.ends(near.clamp_min(0).flatten()))
     back = ((end - start) * (after - before)[..., None] < 0) | (near < 0)
     single = ((own > 0)[..., None] & (beside > _FOLLOWED * own[..., None]) & back).any(2).any(0)
+    decided = torch.zeros(len(flat), dtype=torch.float64, device=size.device)
+    if codes is not None:
+        # one kind of change where f does, another where it does not
+        decided = codes.size[0, flat].to(torch.float64)
+        decided += 0.5 * ((decided > 0) & (before == after).all(0))
+        single |= _there_and_back(codes, flat, near)
     still = (beside == 0).all(0)
     quiet = torch.where(still[:, 0], -1, still[:, 1].long())
     line, row, col = differences.place(flat)
@@ -122,4 +152,28 @@ def candidates(samples: Samples, axis: int) -> Segments:
     low, across = (x, y) if axis == 0 else (y, x)
     phase = (samples.x if axis == 0 else samples.y)[line]
     key = torch.stack([line, row, col], 1)
-    return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet)
+    return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet, decided)
+
+
+def joined(parts: Sequence[Segments]) -> Segments:
+    """The segments of parts along one axis."""
+    names = [field.name for field in fields(parts[0])[1:]]
+    along = [0 if name == "key" else -1 for name in names]
+    return Segments(parts[0].axis, *(torch.cat([getattr(p, n) for p in parts], d) for n, d in zip(names, along, strict=True)))
+
+
+def _there_and_back(codes: Differences, flat: Tensor, near: Tensor) -> Tensor:
+    """Which segments (S,) change a code that a segment beside, `near` (S, 2), changes back."""
+    start, end = codes.ends(flat)
+    first, last = (code.view(near.shape) for code in codes.ends(near.clamp_min(0).flatten()))
+    back = torch.stack([first[:, 0] == end[0], last[:, 1] == start[0]], 1)
+    return (back & (near >= 0)).any(1) & (start[0] != end[0])
+
+
+def without(segments: Segments, kinds: Tensor) -> Segments:
+    """The segments without those that are `decided` in such ways only, unless their values stand out."""
+    if len(kinds) == 0:
+        return segments
+    drop = torch.isin(segments.decided, kinds)
+    segments = replace(segments, decided=segments.decided.masked_fill(drop, 0))
+    return segments.take(~drop | segments.least.isfinite().any(0))

@@ -11,7 +11,7 @@ from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import SeparableFilter
 
-_AT_ONCE = 1 << 14
+_AT_ONCE = 1 << 11
 
 
 class Window:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -48,6 +49,7 @@ class Samples(ABC):
     Attributes:
         x, y: (n,) float64 offsets in [0, 1) of the points in every pixel.
         number: which of the lattices of a cell this is; random numbers hang on it.
+        codes: one channel as `values` are, where f is followed: equal where it decided alike.
     """
 
     x: Tensor
@@ -56,22 +58,28 @@ class Samples(ABC):
     col: int
     values: Tensor
     number: int
+    codes: Tensor | None = field(default=None, kw_only=True)
 
     @property
     def count(self) -> int:
         """Points, and lines along either axis, in a pixel."""
         return len(self.x)
 
+    def some(self, lines: slice) -> Self:
+        """Those on some of the lines, of which the third axis of `values` is."""
+        codes = None if self.codes is None else self.codes[:, :, lines]
+        return replace(self, x=self.x[lines], y=self.y[lines], values=self.values[:, :, lines], codes=codes)
+
     @abstractmethod
-    def differences(self, axis: int) -> Differences:
-        """Between neighbours on the lines along `axis`."""
+    def differences(self, axis: int, codes: bool = False) -> Differences:
+        """Between neighbours on the lines along `axis`, of the values or the `codes`."""
 
 
 class Everywhere(Samples):
     """`values` (C, R, n, Q) in all the pixels."""
 
-    def differences(self, axis: int) -> Differences:
-        return _Dense(self.values, axis)
+    def differences(self, axis: int, codes: bool = False) -> Differences:
+        return _Dense(self.codes if codes and self.codes is not None else self.values, axis)
 
 
 @dataclass(frozen=True)
@@ -80,8 +88,8 @@ class Scattered(Samples):
 
     slot: Tensor
 
-    def differences(self, axis: int) -> Differences:
-        return _Sparse(self.values, self.slot, axis)
+    def differences(self, axis: int, codes: bool = False) -> Differences:
+        return _Sparse(self.codes if codes and self.codes is not None else self.values, self.slot, axis)
 
 
 class _Dense(Differences):
@@ -145,12 +153,17 @@ class _Sparse(Differences):
         return torch.where(pair >= 0, pair * self.lines + line[:, None], -1)
 
 
-def scattered(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor, number: int) -> Scattered:
-    """Evaluate f at the offsets x, y (n,) in the pixels of `asked`, bool (R, Q), the first of which is (row, col)."""
+def scattered(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor, number: int, coded: bool = False) -> Scattered:
+    """Evaluate f at the offsets x, y (n,) in the pixels of `asked`, bool (R, Q), the first of which is (row, col).
+
+    coded: the last channel that is told is that of the codes.
+    """
     at_row, at_col = asked.nonzero().unbind(1)
     values = ask((at_col + col)[:, None].add(x).flatten(), (at_row + row)[:, None].add(y).flatten()).unflatten(1, (-1, len(x)))
     slot = torch.full(asked.shape, -1, dtype=torch.int64, device=x.device)
     slot[at_row, at_col] = torch.arange(len(at_row), device=x.device)
+    if coded:
+        return Scattered(x, y, row, col, values[:-1], number, slot, codes=values[-1:])
     return Scattered(x, y, row, col, values, number, slot)
 
 

@@ -124,6 +124,7 @@ def _opened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed:
         key,
         line >= 0,
         torch.zeros_like(line),
+        torch.zeros_like(apart[piece]),
     )
     return joined([crossings, bisect(ask, segments, finest, seed)])
 
@@ -270,6 +271,7 @@ class _Walk:
             torch.stack([lines, (low * 2**20).long(), torch.zeros_like(lines)], 1),
             lines >= 0,
             torch.zeros_like(lines),
+            torch.zeros_like(low),
         )
         got = bisect(self.ask, segments, self.finest, self.seed)
         # one clear jump, or it is not the end of the piece

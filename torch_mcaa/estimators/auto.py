@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.candidates import Segments, candidates
+from torch_mcaa.edges.candidates import Segments, candidates, without
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, deciding, told
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
@@ -43,6 +43,8 @@ _MARGIN, _RESERVED = 1.2, 0.9
 part of their own share that these keep in any case."""
 _LEAST = 1e-4
 """What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
+_MARGINS = 0.75
+"""What a crossing takes that margins locate, in parts of what bisection takes."""
 _TEXTURE = 0.01
 """The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
 
@@ -147,7 +149,7 @@ class AutoRound(Round):
             return self.parts.joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
         self.parts.random = is_random(ask, self.parts.seed)
         try:
-            judged, texture, spread, counts = self._pilot(cell, ask)
+            judged, jumping, texture, spread, counts = self._pilot(cell, ask)
         except Spent:
             part = self.parts.sampled(cell, ask.left // pixels, ask.left)
             return self.parts.joined(cell, [(cell, part)], ask).estimate()
@@ -155,7 +157,6 @@ class AutoRound(Round):
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
         plans = plans_of(cell, judged, texture, ask.left - audits, self.plain, second, self.most or 0)
-        jumping = _jumping(cell, judged)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
@@ -183,10 +184,9 @@ class AutoRound(Round):
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()
 
-    def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor, Tensor | None]:
-        """What one sample a pixel tells of the blocks: verdicts; whether f has detail everywhere; the spread of neighbouring samples.
-
-        And, under a tolerance, how many points a pixel a lattice needs.
+    def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor, Tensor, Tensor | None]:
+        """What one sample a pixel tells of the blocks: verdicts; which are known to jump, decisions aside; whether f has detail everywhere; the
+        spread of neighbouring samples; and, under a tolerance, how many points a pixel a lattice needs.
         """
         parts = self.parts
         x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64) for axis in (0, 1))
@@ -195,14 +195,28 @@ class AutoRound(Round):
             row, col = max(row, 0), max(col, 0)
             bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
         values = ask.everywhere(float(x), float(y), row, col, bottom - row, right - col)
-        samples = Everywhere(x[None].to(self.task.device), y[None].to(self.task.device), row, col, values[:, :, None], 0)
+        channels = self.task.integrand.channels
+        codes = values[channels:, :, None] if self.task.followed else None
+        values = values[:channels]
+        x, y = x[None].to(self.task.device), y[None].to(self.task.device)
+        samples = Everywhere(x, y, row, col, values[:, :, None], 0, codes=codes)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
         blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):
+            if codes is not None:
+                from torch_mcaa.estimators.decided import smooth
+
+                kinds = smooth(ask, found, parts.seed)
+                found = [without(s, kinds) for s in found]
+                sure = deciding(cell, found)
+                found = [told(cell, s, sure) for s in found]
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
         if self.jumps:
             judged.verdict.fill_(Verdict.JUMPS)
             judged.tried.fill_(_SURE)
+        jumping = _jumping(cell, judged)
+        if codes is not None:
+            judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         counts = None
         if self.wanted is not None and self.first:
@@ -217,7 +231,7 @@ class AutoRound(Round):
         texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
         spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         # a few numbers a block, of which the CPU makes plans
-        return judged.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64), counts
+        return judged.cpu(), jumping.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64), counts
 
 
 def _jumping(cell: Cell, judged: Judged) -> Tensor:
@@ -226,6 +240,18 @@ def _jumping(cell: Cell, judged: Judged) -> Tensor:
     sure = (judged.verdict == Verdict.JUMPS) & (judged.tried >= _SURE)
     beside = dilated(sure.view(size), 1).flatten()
     return sure | (beside & ((judged.verdict == Verdict.JUMPS) | (judged.verdict == Verdict.NONE)))
+
+
+def _decided(judged: Judged, blocks: list[Tensor]) -> Judged:
+    """Where f is seen to decide there is no doubt that it jumps; `blocks` of the segments along either axis in which it does."""
+    verdict = judged.verdict.clone()
+    for block in blocks:
+        verdict[block] = Verdict.JUMPS
+    fewer = [
+        crossed - (1 - _MARGINS) * torch.bincount(block, minlength=len(verdict))
+        for crossed, block in zip(judged.crossings, blocks, strict=True)
+    ]
+    return replace(judged, verdict=verdict, crossings=(fewer[0].clamp_min(0), fewer[1].clamp_min(0)))
 
 
 def _about(cell: Cell, segments: Segments) -> Segments:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -14,6 +14,7 @@ from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 from torch_mcaa.tolerance import Tolerance
+from torch_mcaa.traced.followed import Followed
 
 MANY = 100
 """Pixels that bear each other out: fewer say little of what none of them met, or of which of two estimates is better."""
@@ -33,6 +34,21 @@ class Task:
     device: torch.device
     compiled: bool = False
     """Whether f is compiled into the estimator's graph, where the estimator has one."""
+
+    @property
+    def followed(self) -> Followed | None:
+        """f, if all its decisions are known."""
+        return self.integrand.function if isinstance(self.integrand.function, Followed) else None
+
+    def coded(self, x: Tensor, y: Tensor) -> list[Tensor]:
+        """As `integrand`, and where f is `followed` one channel more, of codes that are equal where it decided alike."""
+        if self.followed is None:
+            return self.integrand(x, y)
+        coded = replace(self.integrand, function=self.followed.coded)
+        values = coded(x, y)
+        self.integrand.evaluations += coded.evaluations
+        self.integrand.channels = len(values) - 1
+        return values
 
 
 @dataclass(frozen=True)

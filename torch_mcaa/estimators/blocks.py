@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
 from torch_mcaa.edges.candidates import Segments
+from torch_mcaa.estimators.base import dilated
 from torch_mcaa.grid import Cell
 
 BLOCK = 32
@@ -18,6 +21,20 @@ def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     row = (y.floor().long() - cell.row).clamp(0, cell.height - 1) // BLOCK
     col = (x.floor().long() - cell.col).clamp(0, cell.width - 1) // BLOCK
     return row * -(-cell.width // BLOCK) + col
+
+
+def deciding(cell: Cell, found: Sequence[Segments]) -> Tensor:
+    """bool (blocks,): those in which, or beside which, f is seen to decide."""
+    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    some = torch.zeros(size[0] * size[1], dtype=torch.bool, device=found[0].low.device)
+    for segments in found:
+        some[blocks_of(cell, segments.take(segments.decided > 0))] = True
+    return dilated(some.view(size), 1).flatten()
+
+
+def told(cell: Cell, segments: Segments, deciding: Tensor) -> Segments:
+    """The segments without those where values alone stand out in such blocks: there it is known where f jumps, and the rest is its pattern."""
+    return segments.take((segments.decided > 0) | ~deciding[blocks_of(cell, segments)])
 
 
 def blocks_in(cell: Cell, part: Cell) -> Tensor:

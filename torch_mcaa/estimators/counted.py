@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -14,6 +16,9 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK, width_of
+
+if TYPE_CHECKING:
+    from torch_mcaa.traced.asked import Asked
 
 _STREAM, _TWICE = 0x2A5C, 16
 
@@ -59,23 +64,45 @@ class Counted:
         self._counted()
         return self._points
 
-    def __call__(self, col: Tensor, row: Tensor) -> Tensor:
-        """Raises Spent rather than ask more than the budget."""
-        task, cell = self.task, self.cell
+    @cached_property
+    def decisions(self) -> Asked:
+        """f, followed, asked under the same budget."""
+        from torch_mcaa.traced.asked import Asked
+
+        task = self.task
+        assert task.followed is not None
+
+        def tally(col: Tensor, row: Tensor) -> None:
+            self._note(col, row)
+            task.integrand.evaluations += len(col)
+
+        return Asked(task.followed.function, task.screen, task.followed.program, task.dtype, task.device, tally)
+
+    def _note(self, col: Tensor, row: Tensor) -> None:
+        """Count the places that f is to be asked at."""
+        cell = self.cell
         inside = (row >= cell.row) & (row < cell.row + cell.height) & (col >= cell.col) & (col < cell.col + cell.width)
         self._spend(int(inside.count_nonzero()))
         # counted later: of few places a call is dearer than they are
         self._places.append((col, row))
         self._held += len(col)
-        block = BLOCK * width_of(col.device)
-        if self._held > block:
+        if self._held > BLOCK * width_of(col.device):
             self._counted()
-        x, y = col, row
+
+    def coded(self, col: Tensor, row: Tensor) -> Tensor:
+        """As when called, with the codes of `Task.coded` as the last channel, (C + 1, N)."""
+        return self(col, row, coded=True)
+
+    def __call__(self, col: Tensor, row: Tensor, coded: bool = False) -> Tensor:
+        """Raises Spent rather than ask more than the budget."""
+        task = self.task
+        self._note(col, row)
+        block, x, y = BLOCK * width_of(col.device), col, row
         if task.boundary != "extend":
             # no pixel that is corrected reaches beyond the screen, so what is told there does not matter
             x, y = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
         parts = [
-            torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r)))
+            torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r), task.coded if coded else task.integrand))
             for c, r in zip(x.split(block), y.split(block), strict=True)
         ]
         values = parts[0] if len(parts) == 1 else torch.cat(parts, 1)
@@ -88,6 +115,8 @@ class Counted:
     def everywhere(self, x: float, y: float, row: int, col: int, height: int, width: int) -> Tensor:
         """f (C, height, width) at one offset in each pixel of a part of the screen, in the dtype that a lattice asks it in.
 
+        Where f is followed the codes are one channel more.
+
         Raises Spent rather than ask more than the budget.
         """
         task, cell = self.task, self.cell
@@ -98,7 +127,7 @@ class Counted:
         dtype = task.screen.coordinate_dtype(cell, task.dtype)
         across = task.screen.x_of(torch.arange(col, col + width, dtype=torch.float64) + x).to(task.device, dtype)
         down = task.screen.y_of(torch.arange(row, row + height, dtype=torch.float64) + y).to(task.device, dtype)
-        values = torch.stack(task.integrand(across.expand(height, width), down[:, None]))
+        values = torch.stack(task.coded(across.expand(height, width), down[:, None]))
         bad = self._bad(values)
         if bad is not None:
             at, here = bad.nonzero().unbind(1)
@@ -130,9 +159,9 @@ class Counted:
         flat = (i * cell.width + j)[(i >= 0) & (i < cell.height) & (j >= 0) & (j < cell.width)]
         plane.view(-1).index_add_(0, flat, torch.ones_like(flat))
 
-    def _asked(self, x: Tensor, y: Tensor) -> list[Tensor]:
+    def _asked(self, x: Tensor, y: Tensor, integrand: Callable[[Tensor, Tensor], list[Tensor]]) -> list[Tensor]:
         """f at float64 coordinates; an f that takes the picture's dtype alone, such as a network, gets that from then on."""
-        integrand, dtype = self.task.integrand, self.precision.dtype
+        dtype = self.precision.dtype
         try:
             return integrand(x.to(dtype), y.to(dtype))
         except McaaError as error:

@@ -84,17 +84,23 @@ class Corrector:
     def run(self) -> Corrected | None:
         """Judge the blocks, and correct those that jump as far as the evaluations go; None where nothing is corrected."""
         found = [candidates(self.base, axis) for axis in (0, 1)]
-        part = [blocks_of(self.cell, s) for s in found]
         try:
             with self.ask.keeping(KEPT):
+                if self.base.codes is not None:
+                    found = self.work.worthwhile(found)
+                part = [blocks_of(self.cell, s) for s in found]
                 verdict = self._judged(found, part)
         except Spent:
             return None
         # an edge may reach into blocks without a candidate
         wanted = self.allowed & self._spread_out((verdict == Verdict.JUMPS) | (verdict == Verdict.NONE))
-        if not bool((verdict == Verdict.JUMPS).any()):
+        # where f decides differently there is no doubt
+        followed = [(verdict[block] == Verdict.JUMPS) | (s.decided > 0) for s, block in zip(found, part, strict=True)]
+        if not any(bool(some.any()) for some in followed):
             return None
-        found = [s.take(verdict[block] == Verdict.JUMPS) for s, block in zip(found, part, strict=True)]
+        if any(bool((s.decided > 0).any()) for s in found):
+            wanted = self.allowed
+        found = [s.take(some) for s, some in zip(found, followed, strict=True)]
         try:
             axes, wanted = self._planned(found, wanted)
             if not bool(wanted.any()):
@@ -119,7 +125,7 @@ class Corrector:
 
     def _judged(self, found: list[Segments], part: list[Tensor]) -> Tensor:
         """The verdicts on the blocks, those that were judged before included."""
-        new = [~self.jumping[block] for block in part]
+        new = [~self.jumping[block] & (s.decided == 0) for s, block in zip(found, part, strict=True)]
         segments = [s.take(here) for s, here in zip(found, new, strict=True)]
         blocks = [block[here] for block, here in zip(part, new, strict=True)]
         verdict = judge(self.ask, segments, blocks, self.blocks[0] * self.blocks[1], JUDGED, self.seed).verdict

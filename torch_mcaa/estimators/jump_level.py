@@ -10,7 +10,8 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, joined
-from torch_mcaa.edges.candidates import Segments, candidates
+from torch_mcaa.edges.candidates import Segments, candidates, without
+from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.foretell import narrowed_all
@@ -18,6 +19,7 @@ from torch_mcaa.edges.lines import Samples, norm, scattered, weighed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.base import dilated
+from torch_mcaa.estimators.blocks import deciding, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
@@ -33,6 +35,8 @@ _PREFERRED = 1.15
 _CORE = 0.03
 """A pixel's share of the greatest density of jumps around it, from which on a second shift is made for it."""
 _NONE = 0.05
+_DECIDED = 0.5
+"""Of a decision whose jump is not known, what it counts for in means of all."""
 _SHIFT = 0x11E5
 
 
@@ -84,6 +88,16 @@ class Leveller:
         self.ask, self.cell, self.seed, self.plain = ask, cell, seed, plain
         self.window = Window(filter, plain.device)
         self.finest, self.followed = 0.0, True
+        self.smooth = self.deciding = self.plain.new_zeros(0)
+
+    def worthwhile(self, found: list[Segments]) -> list[Segments]:
+        """The segments without those whose decisions do not make f jump, which are left out on other shifts, too."""
+        from torch_mcaa.estimators.decided import smooth
+
+        self.smooth = smooth(self.ask, found, self.seed)
+        found = [without(s, self.smooth) for s in found]
+        self.deciding = deciding(self.cell, found)
+        return [told(self.cell, s, self.deciding) for s in found]
 
     def pixels(self, mask: Tensor) -> Pixels:
         """Those of a mask of the cell, bool (h, w)."""
@@ -94,10 +108,7 @@ class Leveller:
         window = self.window
         middles = [((s.low + s.high) / 2, s.across) for s in found]
         pixels = self.pixels(self.reached(middles))
-        seen = [
-            window.density(pixels, s.axis, *middle, (s.after - s.before).abs().amax(0).to(torch.float64))
-            for s, middle in zip(found, middles, strict=True)
-        ]
+        seen = [window.density(pixels, s.axis, *middle, _sizes(s)) for s, middle in zip(found, middles, strict=True)]
         share, open_ = _share(*seen), seen[0] + seen[1] == 0
         # how often samples hit a thin piece says little of its direction
         for segments, (along, across) in zip(found, middles, strict=True):
@@ -126,10 +137,13 @@ class Leveller:
         asked = dilated(torch.nn.functional.pad(wanted, (halo,) * 4), max(1, halo - 1))
         row, col = cell.row - halo, cell.col - halo
         asked &= on_screen(self.ask.task, row, col, (asked.shape[0], asked.shape[1]))
-        samples = scattered(self.ask, x, y, row, col, asked, number)
+        coded = self.ask.task.followed is not None
+        samples = scattered(self.ask.coded if coded else self.ask, x, y, row, col, asked, number, coded)
         pixels = self.pixels(wanted)
         plain = weighed(samples, window.filter.profile, pixels.rows + cell.row, pixels.cols + cell.col, halo)
         found = [candidates(samples, axis) for axis in (0, 1)]
+        if coded:
+            found = [told(self.cell, without(s, self.smooth), self.deciding) for s in found]
         if known is None:
             return self._level(samples, found, self.axes(found)[0], wanted, pixels, plain)
         return self._level(samples, found, known.axes, wanted, pixels, plain, known.crossings)
@@ -201,6 +215,13 @@ class Leveller:
 
     def _bisected(self, segments: list[Segments], samples: Samples, known: list[Crossings] | None, seed: int) -> list[Crossings]:
         """The crossings of the segments along either axis; without any known, every second line foretells the others."""
+        if any(bool((s.decided > 0).any()) for s in segments):
+            from torch_mcaa.estimators.decided import crossings
+
+            told, left = zip(*(crossings(self.ask, s.take(s.decided > 0), seed) for s in segments), strict=True)
+            rest = [together([s.take(s.decided == 0), more]) for s, more in zip(segments, left, strict=True)]
+            found = self._bisected(rest, samples, known, seed)
+            return [joined([a, b]) for a, b in zip(told, found, strict=True)]
         apart = 2.5 / samples.count
         if known is not None:
             return bisect_all(self.ask, narrowed_all(self.ask, segments, known, apart, seed), self.finest, seed)
@@ -225,6 +246,15 @@ class Leveller:
         """The pixels within the filter's reach and one of those `wanted`, of the cell and as much around it."""
         reach = self.window.reach + 1
         return dilated(torch.nn.functional.pad(wanted, (reach,) * 4), reach)
+
+
+def _sizes(segments: Segments) -> Tensor:
+    """(S,): by how much f changes; of a decision, whose jump is not known yet, at least half the mean of all."""
+    size = (segments.after - segments.before).abs().amax(0).to(torch.float64)
+    decided = segments.decided > 0
+    if not bool(decided.any()):
+        return size
+    return torch.where(decided, size.clamp_min(_DECIDED * float(size[decided].mean())), size)
 
 
 def _share(horizontal: Tensor, vertical: Tensor) -> Tensor:

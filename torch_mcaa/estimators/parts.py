@@ -165,7 +165,9 @@ class Parts:
         heavy = None if found.heavy is None else found.heavy[inner]
         assert found.samples is not None
         x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
-        base = Everywhere(x, y, found.at.strip, found.at.col, found.samples, 0)
+        channels = task.integrand.channels
+        codes = found.samples[channels:] if task.followed else None
+        base = Everywhere(x, y, found.at.strip, found.at.col, found.samples[:channels], 0, codes=codes)
         sampled = count + self.audited
         ask = self.ask(cell, budget - sampled * pixels)
         allowed = self._allowed(cell, found.invalid, inner) & (not self.random)

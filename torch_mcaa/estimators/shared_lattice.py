@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -25,6 +26,9 @@ from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
 _SHIFT = 0x5F1F7
 
 
+Asked = Callable[[Tensor, Tensor], list[Tensor]]
+
+
 @dataclass(frozen=True)
 class Measured:
     """What a lattice tells of a cell, before the floor for what no sample met.
@@ -33,7 +37,8 @@ class Measured:
         value, variance: (C, h, w); the variance is 0 without `contrast`.
         invalid: (h, w) int32.
         heavy: (C, h, w) bool, where f has no second moment, or None.
-        samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0.
+        samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0. Where f is followed the codes of
+            `Task.coded` are one channel more.
         at: where they lie.
         blind: (C, h, w) the part of the variance that is the audit's, or None if it saw nothing.
     """
@@ -144,7 +149,7 @@ class LatticeRound(Round):
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         blind = extra if extra is not None and bool((extra > 0).any()) else None
-        return Measured(value, variance, invalid, heavy, torch.cat(kept, 2) if kept else None, at, blind)
+        return Measured(value, variance, invalid, heavy, kept[0] if kept else None, at, blind)
 
     def _by_graph(self, cell: Cell) -> Measured | None:
         """The same by the compiled graph; None if there is none, or f is not finite everywhere."""
@@ -172,12 +177,12 @@ class LatticeRound(Round):
         invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         return Measured(found.value, variance, invalid, heavy, None, at, blind)
 
-    def _asked(self, dtype: torch.dtype, col: Tensor, row: Tensor, shape: tuple[int, ...]) -> list[Tensor]:
+    def _asked(self, dtype: torch.dtype, col: Tensor, row: Tensor, shape: tuple[int, ...], f: Asked) -> list[Tensor]:
         """The channels of f at screen places of a shape, or that expand to it, told in a dtype."""
         task = self.task
         x = task.screen.x_of(col).to(task.device, dtype)
         y = task.screen.y_of(self._on_screen(row)).to(task.device, dtype)
-        return task.integrand(x.expand(shape), y)
+        return f(x.expand(shape), y)
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
@@ -206,7 +211,7 @@ class LatticeRound(Round):
         counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masks else None
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
-            values = self._asked(dtype, col, row, shape)
+            values = self._asked(dtype, col, row, shape, task.integrand if kept is None else task.coded)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
                 values = [value.masked_fill(bad, 0) for value in values]
@@ -229,8 +234,12 @@ class LatticeRound(Round):
                     masks.weigh(full, masks.batches[number], group, ones)
                     masks.weigh(finite, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
                 if kept is not None:
-                    kept.append(torch.stack(values))
-                for channel, value in enumerate(values):
+                    # in place: joined in the end they would be there twice
+                    if not kept:
+                        kept.append(values[0].new_empty(len(values), at.strips, strip.count, at.cols))
+                    for channel, value in enumerate(values):
+                        kept[0][channel, :, planes] = value
+                for channel, value in enumerate(values[: task.integrand.channels]):
                     if len(sums) <= channel:
                         sums.append(splat.start(channel))
                         held.append({})
@@ -248,6 +257,7 @@ class LatticeRound(Round):
         extra = None
         if self.audit is not None:
             values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))
+            values = values[: task.integrand.channels]
             if bad is not None and counts is None:
                 return values[0], None, None, None, torch.empty(0)
             if bad is not None and counts is not None:

@@ -19,6 +19,7 @@ from torch_mcaa.replay.dependencies import dependencies
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.moved import Moved, is_continuous
 from torch_mcaa.texture import Texture
+from torch_mcaa.traced.followed import Followed
 from torch_mcaa.traced.program import Program, probe
 
 _PROBED = 256
@@ -72,10 +73,24 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
     return Replay(task, spp, program, found, moved)
 
 
+def followed(task: Task, function: Function) -> Function:
+    """`function`, that of the task, with its decisions, if it takes any and the trace can follow them all."""
+    try:
+        program = _probed(task, function)
+    except McaaError:
+        # who asks for a gradient is told why
+        return function
+    return Followed(function, program.all_moving()) if program.sites and not program.problems else function
+
+
+def _probed(task: Task, function: Function) -> Program:
+    with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
+        return probe(function, task.screen, task.dtype, task.device)
+
+
 def _program(task: Task) -> Program | None:
     """f's decisions, if it takes any."""
-    with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
-        program = probe(task.integrand.function, task.screen, task.dtype, task.device)
+    program = _probed(task, task.integrand.function)
     for problem in program.problems:
         warnings.warn(
             f"{problem}; jumps there count nothing towards the gradient: say where they are by level_set(g), or use discontinuities=False",

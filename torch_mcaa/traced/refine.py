@@ -95,6 +95,11 @@ def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
     return _refined(asked, found, most, seed)
 
 
+def located(asked: Asked, found: Segments, seed: int) -> Changes:
+    """All changes in all the segments, without the margins' derivatives."""
+    return _refined(asked, found, 1 << 62, seed, sloped=False)
+
+
 def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
     """Fewer of the segments in which such decisions differ as do not seem to make f jump, like those at texels' borders in a bilinear texture.
 
@@ -123,8 +128,8 @@ def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments
     return found.take(kept, chance[group][kept])
 
 
-def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
-    """All changes in the segments."""
+def _refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = True) -> Changes:
+    """All changes in the segments; the margins' derivatives only if `sloped`."""
     segments = found.brackets
     first = _straight(segments, found.margin)
     signature, margin = _at(asked, found, first)
@@ -144,12 +149,14 @@ def _refined(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
     )
     root = torch.where((root >= one.low) & (root <= one.high), root, (one.low + one.high) / 2)
     near = replace(one, low=torch.maximum(one.low, root - _NARROW / 2), high=torch.minimum(one.high, root + _NARROW / 2))
-    tried = _examined(asked, near)
+    tried = _examined(asked, near, sloped)
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _quartered(asked, joined(rest), _NARROW, most, seed))
+    halved = _examined(asked, _quartered(asked, joined(rest), _NARROW, most, seed), sloped)
     changes = _joined([tried.take(hit), halved])
+    if not sloped:
+        return changes
     # the margin may saturate a little beside the edge
     astray = (changes.flat | changes.leap) & ~changes.behind
     if not bool(astray.any()):
@@ -202,8 +209,8 @@ def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor
     return signature, margin
 
 
-def _examined(asked: Asked, brackets: Brackets) -> Changes:
-    """f again at the ends of brackets, with what changes between them and its margin's derivatives."""
+def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
+    """f again at the ends of brackets, with what changes between them and, if `sloped`, its margin's derivatives."""
     parts = []
     for start in range(0, max(1, len(brackets)), AT_ONCE // 2):
         part = brackets.take(torch.arange(start, min(start + AT_ONCE // 2, len(brackets)), device=asked.device))
@@ -222,9 +229,9 @@ def _examined(asked: Asked, brackets: Brackets) -> Changes:
                 whole(0) > 0,
                 whole(0),
             )
-        with torch.enable_grad():
-            col, row = (t.flatten().requires_grad_() for t in part.places(torch.stack([part.low, part.high])))
-            values, seen = asked.run(col, row, lambda c=count: Causes((2, c), 0, True, asked.device))
+        with torch.set_grad_enabled(sloped):
+            col, row = (t.flatten().requires_grad_(sloped) for t in part.places(torch.stack([part.low, part.high])))
+            values, seen = asked.run(col, row, lambda c=count: Causes((2, c), 0, sloped, asked.device))
             slope = _slopes(seen.total, col, row)
         parts.append(
             Changes(
