@@ -52,15 +52,15 @@ class Patterned:
             kx, ky = 2 * math.pi * u, 2 * math.pi * v
             tone = np.exp(1j * (kx * x + ky * y) - (STD * math.hypot(kx, ky)) ** 2 / 2)
             share = _normal(side * (d + 1j * STD**2 * (kx * c + ky * s)) / STD)
-            total += (0.5 * tone * share).real + level * _normal(side * d / STD + 0j).real
+            total += np.real(0.5 * tone * share) + level * np.real(_normal(side * d / STD + 0j))
         return torch.from_numpy(total), torch.from_numpy(np.abs(d) < 2)
 
 
 def _normal(z: np.ndarray) -> np.ndarray:
     """The normal distribution function of complex numbers."""
-    w = np.where(z.real >= 0, z, -z) / math.sqrt(2)
+    w = np.where(np.real(z) >= 0, z, -z) / math.sqrt(2)
     tail = 0.5 * np.exp(-w * w) * wofz(1j * w)
-    return np.where(z.real >= 0, 1 - tail, tail)
+    return np.where(np.real(z) >= 0, 1 - tail, tail)
 
 
 def main() -> None:

@@ -93,7 +93,7 @@ class Counted:
         """As when called, with the codes of `Task.coded` as the last channel, (C + 1, N)."""
         return self(col, row, coded=True)
 
-    def __call__(self, col: Tensor, row: Tensor, coded: bool = False) -> Tensor:
+    def __call__(self, col: Tensor, row: Tensor, *, coded: bool = False) -> Tensor:
         """Raises Spent rather than ask more than the budget."""
         task = self.task
         self._note(col, row)
