@@ -7,14 +7,12 @@ vectorises and compiles that, and integers have the same bits on every device.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 
-__all__ = ["bits", "bits_from", "started", "uniform"]
+__all__ = ["bits", "uniform"]
 
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = 0x7FEB352D, 0x846CA68B
@@ -33,16 +31,6 @@ def bits(seed: int, *keys: int | Tensor) -> Tensor:
     """
     h = _hash(seed, keys)
     return torch.tensor(h) if isinstance(h, int) else h.to(torch.int64) & _MASK
-
-
-def started(seed: int, *keys: int) -> Tensor:
-    """The state of `bits` after these keys, for `bits_from`: a 0-d int32 tensor, which compiled code takes where it would keep an int."""
-    return _tensor(_hash(seed, keys))
-
-
-def bits_from(state: Tensor, *keys: Tensor) -> Tensor:
-    """`bits` of a seed and keys, of which `state` is what `started` gave for the first."""
-    return _tensor(_chained(state, keys)).to(torch.int64) & _MASK
 
 
 def uniform(seed: int, *keys: int | Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -66,10 +54,7 @@ def _hash(seed: int, keys: tuple[int | Tensor, ...]) -> int | Tensor:
     """The chain: an unsigned int while all keys were ints, an int32 tensor from the first tensor on."""
     if not 0 <= seed < 1 << 64:
         raise McaaError(f"seed must be an int in [0, 2**64), received {seed}: reduce it modulo 2**64")
-    return _chained(_mix_int(_mix_int(seed >> 32 ^ _SEED) ^ seed & _MASK), keys)
-
-
-def _chained(state: int | Tensor, keys: Sequence[int | Tensor]) -> int | Tensor:
+    state: int | Tensor = _mix_int(_mix_int(seed >> 32 ^ _SEED) ^ seed & _MASK)
     for key in keys:
         # Each key is hashed before it meets the state: a raw one would let two whole rows of pixels share
         # their streams wherever two states differ in low bits only. They meet in a sum, since an exclusive or

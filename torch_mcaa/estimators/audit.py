@@ -31,9 +31,6 @@ class Audit:
         self.reference = int(np.argmax(strip.y))
         self.neighbours = [self._neighbour(sign * step) for step in strip.basis for sign in (1, -1)]
         self.planes = sorted({self.reference, *(plane for plane, _, _ in self.neighbours)})
-        x, y = strip.x[self.reference], strip.y[self.reference]
-        numbers = torch.tensor([x, *strip.basis[:, 0], y, *strip.basis[:, 1], self.row()], dtype=torch.float64)
-        self.state, self.numbers = rng.started(task.seed, _AUDIT, number).to(task.device), numbers.to(task.device)
 
     def _neighbour(self, step: np.ndarray) -> tuple[int, int, int]:
         """The plane of the sample at `step` from the reference, and the change of strip and column that leads there."""
@@ -51,7 +48,12 @@ class Audit:
         """float64 screen columns and rows (strips, cols) of the audit points, each in the pixel of its sample."""
         strips = torch.arange(at.strip, at.strip + at.strips, device=self.task.device)[:, None]
         cols = torch.arange(at.col, at.col + at.cols, device=self.task.device)[None, :]
-        return placed(self.state, self.numbers, strips, cols, self.strip.period)
+        drawn = rng.bits(self.task.seed, _AUDIT, self.number, strips, cols)
+        a, b = (drawn & 0xFFFF).to(torch.float64) / 65536 - 0.5, (drawn >> 16).to(torch.float64) / 65536 - 0.5
+        basis, row = self.strip.basis, self.row()
+        x = (self.strip.x[self.reference] + a * basis[0, 0] + b * basis[1, 0]).clamp(0, 1 - 2.0**-20)
+        y = (self.strip.y[self.reference] + a * basis[0, 1] + b * basis[1, 1]).clamp(row, row + 1 - 2.0**-20)
+        return cols + x, strips * self.strip.period + y
 
     def variance(self, cell: Cell, at: Geometry, audited: Tensor, held: dict[int, Tensor]) -> Tensor:
         """(h, w): the variance that the audit adds, 0 where the lattice resolves f. `audited` and the held planes are (strips, cols)."""
@@ -75,15 +77,6 @@ class Audit:
         plane = power.repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)
         top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
         return plane[top : top + cell.height, left : left + cell.width]
-
-
-def placed(state: Tensor, numbers: Tensor, strips: Tensor, cols: Tensor, period: int) -> tuple[Tensor, Tensor]:
-    """Screen columns and rows (strips, cols) of the points that `state` and an `Audit`'s `numbers` draw."""
-    x, ax, bx, y, ay, by, row = numbers.unbind(0)
-    drawn = rng.bits_from(state, strips, cols)
-    a, b = (drawn & 0xFFFF).to(torch.float64) / 65536 - 0.5, (drawn >> 16).to(torch.float64) / 65536 - 0.5
-    across, down = (x + a * ax + b * bx).clamp(0, 1 - 2.0**-20), torch.clamp(y + a * ay + b * by, row, row + (1 - 2.0**-20))
-    return cols + across, strips * period + down
 
 
 def _shifted(plane: Tensor, down: int, right: int) -> Tensor:

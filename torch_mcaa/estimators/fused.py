@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FunctionType
 from typing import Any
 
@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.compiling import Compiled
-from torch_mcaa.estimators.audit import Audit, placed
+from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.filters import SeparableFilter
@@ -56,7 +56,7 @@ class Fused:
     def __init__(self, weights: LatticeWeights, audit: Audit | None, height: int, width: int) -> None:
         task, strip, self.reach = weights.task, weights.strip, weights.reach
         assert isinstance(task.filter, SeparableFilter)
-        self.task, self.strip, self.width = task, strip, width
+        self.task, self.strip, self.audit, self.width = task, strip, audit, width
         self.order = np.argsort(strip.y)
         self.place = np.argsort(self.order)
         period, count = strip.period, strip.count
@@ -87,12 +87,9 @@ class Fused:
         self.constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, windows, response)]
         self._watched: list[Tensor] = []
         if audit is not None:
-            (x0, _, y0, _), (px, py) = task.screen.extent, task.screen.pixel_size
             steps = [(0, 0), *((down, right) for _, down, right in audit.neighbours)]
             planes = [int(self.place[plane]) for plane in (audit.reference, *(plane for plane, _, _ in audit.neighbours))]
-            numbers = torch.tensor([x0, px, y0, py], dtype=torch.float64)
-            fixed = [audit.state, audit.numbers, numbers, torch.tensor(steps), torch.tensor(planes)]
-            self._watched = [t.to(task.device) for t in fixed]
+            self._watched = [torch.tensor(t).to(task.device) for t in (steps, planes)]
         shape = (self.strips, count, width + 2 * self.reach)
         windows_of = (blocks, period, length), (start, step)
         self.graph = _graph(task.integrand.function, shape, *windows_of, width, audit is not None, task.dtype)
@@ -133,10 +130,12 @@ class Fused:
         dtype, begin = task.screen.coordinate_dtype(cell, task.dtype), cell.row // period - self.lead
         x, y = task.screen.x_of(self._cols + cell.col), task.screen.y_of(self._rows + begin * period)
         inputs = [x.to(dtype), y.to(dtype), *self.constants]
-        if self._watched:
+        if self.audit is not None:
+            # drawn outside: the graph would hash anew wherever a point is used
+            col, row = self.audit.places(replace(at, strip=begin, strips=self.strips, col=cell.col - self.reach, cols=x.shape[1]))
             # neighbours are looked for among the samples of the cell's own geometry
-            bounds = torch.tensor([begin, cell.col - self.reach, at.strip - begin, at.strip - begin + at.strips, at.cols])
-            inputs += [bounds.to(task.device), *self._watched]
+            bounds = torch.tensor([at.strip - begin, at.strip - begin + at.strips, at.cols])
+            inputs += [task.screen.x_of(col).to(dtype), task.screen.y_of(row).to(dtype), bounds.to(task.device), *self._watched]
         return inputs
 
 
@@ -204,7 +203,8 @@ def _kernel(
             kept.append(samples)
             weighed.append(both)
         if audited:
-            seen, more = _watch(f, kept, period, x.dtype, *watched)
+            seen, more, asked = _watch(f, kept, *watched)
+            kept += asked
         return values, powers, norms, seen, more, kept, weighed
 
     return kernel
@@ -213,36 +213,31 @@ def _kernel(
 def _watch(
     f: Function,
     samples: list[Tensor],
-    period: int,
-    asked: torch.dtype,
+    x: Tensor,
+    y: Tensor,
     bounds: Tensor,
-    state: Tensor,
-    numbers: Tensor,
-    screen: Tensor,
     steps: Tensor,
     planes: Tensor,
-) -> tuple[list[Tensor], list[Tensor]]:
-    """For each channel what `Audit.judged` takes, of f at the audit's points and the samples (strips, planes, columns) about them.
+) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+    """For each channel what `Audit.judged` takes, of f at the audit's points and the samples (strips, planes, columns) about them, and f there.
 
     Args:
-        bounds: the first strip and column, and which strips [from, to) and how many columns are looked at.
-        screen: x = screen[0] + screen[1] column, y = screen[2] + screen[3] row.
+        x, y: (strips, columns).
+        bounds: which strips [from, to) and how many columns are looked at.
         steps, planes: strips and columns from the audit's sample, and the plane, of that sample and its four neighbours.
     """
     strips, _, cols = samples[0].shape
     row, col = torch.arange(strips, device=bounds.device)[:, None], torch.arange(cols, device=bounds.device)[None]
-    at_col, at_row = placed(state, numbers, row + bounds[0], col + bounds[1], period)
-    x, y = (screen[0] + screen[1] * at_col).to(asked), (screen[2] + screen[3] * at_row).to(asked)
-    seen, more = [], []
-    for audited, channel in zip(channels_of(f(x, y), x, samples[0].dtype), samples):
+    asked, seen, more = channels_of(f(x, y), x, samples[0].dtype), [], []
+    for audited, channel in zip(asked, samples):
         reference = channel.index_select(1, planes[:1])[:, 0]
         square, most = (audited - reference).square(), torch.zeros_like(audited)
         for k in range(1, 5):
             down, right = row + steps[k, 0], col + steps[k, 1]
-            inside = (down >= bounds[2]) & (down < bounds[3]) & (right >= 0) & (right < bounds[4])
+            inside = (down >= bounds[0]) & (down < bounds[1]) & (right >= 0) & (right < bounds[2])
             plane = planes[k : k + 1].expand(strips, cols)
             there = channel[down.clamp(0, strips - 1), plane, right.clamp(0, cols - 1)]
             most = torch.maximum(most, torch.where(inside, (there - reference).square(), 0))
         seen.append(square)
         more.append((square > most).to(square.dtype))
-    return seen, more
+    return seen, more, asked
