@@ -141,6 +141,17 @@ def test_one_compilation_serves_a_picture_its_edges_and_the_next(monkeypatch: py
     assert float(second.image.sum()) > 2 * float(first.image.sum())
 
 
+def test_an_f_without_a_hash() -> None:
+    class Unhashable:
+        __hash__ = None  # pyright: ignore[reportAssignmentType]
+
+        def __call__(self, x: Tensor, y: Tensor) -> Tensor:
+            return x * y
+
+    compiled, eager = both(Unhashable())
+    torch.testing.assert_close(compiled.image, eager.image, rtol=1e-5, atol=0)
+
+
 class TestRefused:
     @pytest.mark.parametrize(
         "f",

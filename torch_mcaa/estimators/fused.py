@@ -9,8 +9,8 @@ characters need. Samples, sums and differences are results of the graph, which k
 from __future__ import annotations
 
 import math
-import weakref
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import FunctionType
 from typing import Any
 
@@ -150,19 +150,18 @@ def _windows(count: int, period: int, radius: float) -> tuple[int, int, int]:
     return step, min(first), max(last) - min(first) + 1
 
 
-_graphs: weakref.WeakKeyDictionary[Any, dict[tuple[object, ...], Compiled]] = weakref.WeakKeyDictionary()
-"""The compiled graphs of each f, for as long as there is that f."""
-
-
 def _graph(f: Function, *key: Any) -> Compiled:
+    """The graph of f, that of an earlier picture where there is one."""
     try:
-        known = _graphs.setdefault(f, {})
+        return _kept(f, *key)
     except TypeError:
-        # f cannot be referred to weakly, or has no hash
-        known = {}
-    if key not in known:
-        known[key] = Compiled(_kernel(f, *key))
-    return known[key]
+        # f has no hash
+        return Compiled(_kernel(f, *key))
+
+
+@lru_cache(maxsize=8)
+def _kept(f: Function, *key: Any) -> Compiled:
+    return Compiled(_kernel(f, *key))
 
 
 def _kernel(
