@@ -835,7 +835,7 @@ def test_a_picture_that_does_not_fit_is_refused() -> None:
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
-    picture = mcaa.render(constant, SIZE, spp=np.int64(4), tolerance=np.float32(0.5), seconds=np.float64(100))  # type: ignore[arg-type]
+    picture = mcaa.render(constant, SIZE, spp=np.int64(16), tolerance=np.float32(0.5), seconds=np.float64(100))  # type: ignore[arg-type]
     assert picture.stopped == "tolerance"
 
 
