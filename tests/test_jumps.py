@@ -146,6 +146,49 @@ def test_noise_costs_little_more_than_scrambled_points(spp: int, most: float) ->
     assert auto < most * sobol
 
 
+def julia(x: Tensor, y: Tensor) -> Tensor:
+    """The inside of a Julia set: two colours, and detail at every scale along its edge."""
+    u, v = (x - 48) / 34, (y - 48) / 34
+    for _ in range(40):
+        inside = u * u + v * v <= 4
+        u, v = torch.where(inside, u * u - v * v - 0.123, u), torch.where(inside, 2 * u * v + 0.745, v)
+    return (u * u + v * v <= 4).to(x.dtype)
+
+
+def bands(x: Tensor, y: Tensor) -> Tensor:
+    """Every other escape time of the Mandelbrot set: edges, ever closer to each other."""
+    a, b = (x - 48) / 32 - 0.75, (y - 48) / 32
+    u, v, count = a, b, torch.zeros_like(x)
+    for _ in range(40):
+        inside = u * u + v * v <= 4
+        u, v = torch.where(inside, u * u - v * v + a, u), torch.where(inside, 2 * u * v + b, v)
+        count = count + inside.to(x.dtype)
+    return torch.where(count == 40, 0.0, count % 2)
+
+
+FRACTALS = {"mandelbrot": (scenes.Mandelbrot(48, 48, 32, iterations=50), 1.1), "julia": (julia, 1.1), "bands": (bands, 1.3)}
+
+
+@pytest.mark.parametrize("name", FRACTALS)
+def test_fractals_are_sampled(name: str) -> None:
+    """With 32 and 64 evaluations a pixel no worse than a plain lattice of as many, or little where edges go over into detail, and told."""
+    f, most = FRACTALS[name]
+    size, dtype = (96, 96), torch.float64
+    truth = mcaa.render(f, size, estimator=mcaa.Shared(), spp=400, seed=77, dtype=dtype).image
+    last = math.inf
+    for spp in (32, 64):
+        plain, chosen = (
+            [mcaa.render(f, size, estimator=e, spp=spp, seed=seed, dtype=dtype) for seed in range(2)]
+            for e in (mcaa.Shared(), mcaa.Auto())
+        )
+        one, other = (torch.stack([p.image - truth for p in some]).square().mean().sqrt() for some in (plain, chosen))
+        errors, stderr = (torch.stack(some) for some in zip(*((p.image - truth, p.stderr) for p in chosen), strict=True))
+        assert other <= most * one and other < last
+        assert 0.8 < stderr.square().mean().sqrt() / other < 3
+        assert (errors.abs() <= 1.96 * stderr).double().mean() >= 0.9
+        last = float(other)
+
+
 def test_smooth_functions_are_no_worse_than_on_a_lattice() -> None:
     for scene, limit in (
         (scenes.Sinusoid(0.6, 0.5, 0.2), 1e-6),

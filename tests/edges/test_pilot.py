@@ -87,17 +87,17 @@ def test_noise_of_all_values_is_not_taken_for_jumps() -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_look_is_bounded(name: str) -> None:
-    """At most 24 candidates: quarters and two fresh places are 5 evaluations, each piece followed from 1/4 px to 2^-8 px takes 7 at most.
+    """At most 24 candidates: quarters and four fresh places are 7 evaluations, each piece followed from 1/4 px to 2^-8 px takes 7 at most.
 
     Up to eight pieces are followed for one candidate, in noise; an edge has one.
     """
     f, verdict = CASES[name]
     count = judged(f)[1].count
-    assert count <= MOST * (5 + 7 * 8)
+    assert count <= MOST * (7 + 7 * 8)
     if verdict == Verdict.NONE:
         assert count == 0 or name == "waves"
     if name in ("edge", "edge in colour", "edge on a ramp", "disc"):
-        assert count <= MOST * (5 + 7)
+        assert count <= MOST * (7 + 7)
 
 
 def test_each_part_is_judged_by_its_own_candidates() -> None:

@@ -209,13 +209,14 @@ def test_unfollowed_drops_the_pieces_that_samples_hit_and_no_others() -> None:
             crossings(0, lines, first + 1.8, 3 * one, samples),
         ]
     )
-    left, cost = unfollowed(some, samples)
+    left, met, cost = unfollowed(some, samples)
     grid = Numbered(samples, 0)
     phase = grid.phase(grid.number(lines))
     hit = torch.remainder(phase - first, 1) < 0.1
     assert 5 < int(hit.sum()) < 20
     expected = torch.cat([first[~hit], first[~hit] + 0.1, first + 1.8])
     assert torch.equal(torch.sort(left.place).values, torch.sort(expected).values)
+    assert len(left) + len(met) == len(some) and len(met) == 2 * int(hit.sum())
     assert cost == pytest.approx(16 * (1 / 0.1 - 1) * int(hit.sum()), rel=1e-9)
 
 
@@ -229,8 +230,8 @@ def test_unfollowed_keeps_what_is_wider_than_the_samples_distance() -> None:
             crossings(0, lines, 9.04 + 0.31 * lines, -one, samples, before=one),
         ]
     )
-    left, cost = unfollowed(some, samples)
-    assert len(left) == len(some) and cost == 0
+    left, met, cost = unfollowed(some, samples)
+    assert len(left) == len(some) and len(met) == 0 and cost == 0
 
 
 def by_hand(places: list[float], colours: list[float], width: float = 0.0, across: float | None = None) -> Crossings:

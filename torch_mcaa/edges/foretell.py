@@ -40,6 +40,14 @@ def narrowed_all(ask: Ask, parts: Sequence[Segments], known: Sequence[Crossings]
     return [_short(part, t, value) for part, t, value in zip(parts, tries, values, strict=True)]
 
 
+def foretold(segments: Segments, known: Crossings, apart: float) -> Tensor:
+    """bool (S,): whether `known` foretell a crossing inside the segment."""
+    if len(known) == 0 or len(segments) == 0:
+        return torch.zeros_like(segments.single)
+    place, found = _foretold(segments, known, apart)
+    return found & (place > segments.low) & (place < segments.high)
+
+
 @dataclass(frozen=True)
 class _Try:
     """The segments at `index` may be short: from `low` to `high`."""

@@ -22,6 +22,9 @@ _SIDES = 5
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
 _FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
+_BROKEN, _TESTED, _PEAKED = 0.25, 10, 0.22
+_NEAR, _OFF = 1 / 8, 1 / 4
+"""Px: how far from a jump it is looked at whether it is an edge."""
 
 
 class Verdict(IntEnum):
@@ -60,22 +63,33 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     Then f is foretold at one fresh random place in each from the jumps found. Fewer than 5 % of the candidates with a jump: f is
     continuous. More than 20 % foretold wrong: noise, which always "has a jump" in one half, so that counting jumps cannot tell. More than
     15 % of those foretold wrong that lie in the next segment, where no jump was seen: detail finer than the samples, which is noise too.
+    More than 25 % of the jumps, of 10 or more, that are no edge: detail on every scale, of which bisection finds one jump of many. Where an
+    edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction.
+    And f is continuous where single samples that stick out without a jump change it by over 22 % of what jumps do.
 
     Args:
         part: for each axis the part (S,) of its segments.
     """
     tried = torch.zeros(parts, dtype=torch.int64, device=part[0].device)
-    change, jumped, wrong, beside, unseen = (torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(5))
+    change, jumped, wrong, beside, unseen, peaks = (
+        torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(6)
+    )
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
+    tested, broken = torch.zeros_like(tried), torch.zeros_like(tried)
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
     if any(len(look.where) for look in looks):
         bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
-        x, y = zip(*(placed(look.some.axis, *look.asked) for look in looks), strict=True)
-        values = ask(torch.cat(x), torch.cat(y)).split([2 * len(look.where) for look in looks], 1)
-        for look, crossings, both in zip(looks, bisected, values, strict=True):
-            value, next_ = both.split(len(look.where), 1) if both.shape[1] else (both, both)
-            where, has = look.where, look.jumped(crossings, parts)
+        jumps = [look.jumped(crossings, parts) for look, crossings in zip(looks, bisected, strict=True)]
+        asked = [look.asked(crossings, seed) for look, crossings in zip(looks, bisected, strict=True)]
+        x, y = zip(*(placed(look.some.axis, *places) for look, places in zip(looks, asked, strict=True)), strict=True)
+        values = ask(torch.cat(x), torch.cat(y)).split([4 * len(look.where) for look in looks], 1)
+        for look, crossings, has, four in zip(looks, bisected, jumps, values, strict=True):
+            value, next_, one, other = four.unflatten(1, (4, -1)).unbind(1)
+            where = look.where
+            edge = look.sharp(crossings)
+            tested += torch.bincount(where[edge], minlength=parts)
+            broken += torch.bincount(where[edge & look.bent(one + other)], minlength=parts)
             lines += look.lines(crossings, parts)
             tried += torch.bincount(where, minlength=parts)
             # the foot of a smooth step looks like a jump to a candidate that sees no more of it: each counts by its change
@@ -87,11 +101,13 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
                 (wrong, size * wrongly),
                 (beside, size * still),
                 (unseen, size * (still & look.surprised(next_))),
+                (peaks, size * (~has & look.some.single)),
             ):
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
     verdict[(wrong > _MISPREDICTED * jumped) | (unseen > _UNSEEN * beside)] = Verdict.NOISE
-    verdict[jumped < _FEW * change] = Verdict.CONTINUOUS
+    verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
+    verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
     return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
 
@@ -123,10 +139,27 @@ class _Look:
         length = some.high - some.low
         return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, hits)
 
-    @property
-    def asked(self) -> tuple[Tensor, Tensor]:
-        """The random places, and then those beside: along the lines, and the lines."""
-        return torch.cat([self.place, self.beside]), self.some.across.repeat(2)
+    def asked(self, crossings: Crossings, seed: int) -> tuple[Tensor, Tensor]:
+        """The random places, those beside, and two opposite each other about the jump: along the lines, and across them."""
+        some, sharp = self.some, self._steep(crossings)
+        middle = self.place.clone()
+        middle[crossings.segment[sharp]] = crossings.place[sharp]
+        turn, off = (rng.uniform(seed, _PILOT, some.axis, key, some.stream, dtype=torch.float64) for key in (3, 4))
+        off, turn = _NEAR + (_OFF - _NEAR) * off, 2 * torch.pi * turn
+        along, across = off * turn.cos(), off * turn.sin()
+        return torch.cat([self.place, self.beside, middle + along, middle - along]), torch.cat(
+            [some.across, some.across, some.across + across, some.across - across]
+        )
+
+    def sharp(self, crossings: Crossings) -> Tensor:
+        """Which segments, but for those of thin pieces, hold one jump of over half their change."""
+        has = torch.zeros_like(self.some.single)
+        has[crossings.segment[self._steep(crossings)]] = True
+        return has & ~self.some.single
+
+    def bent(self, sum_: Tensor) -> Tensor:
+        """Where two opposite values (C, S) have not the `sum_` of those at the segment's ends."""
+        return (sum_ - self.some.before - self.some.after).abs().amax(0) > 0.35 * self.size
 
     @property
     def size(self) -> Tensor:

@@ -74,13 +74,13 @@ def thin_pieces(crossings: Crossings, samples: Samples) -> bool:
     return bool((pieces_of(crossings, Numbered(samples, crossings.axis))[0].width < SHORT).any())
 
 
-def unfollowed(crossings: Crossings, samples: Samples) -> tuple[Crossings, float]:
-    """The crossings without those of the thin pieces that samples have hit, which are then sampled, and what following them would take."""
+def unfollowed(crossings: Crossings, samples: Samples) -> tuple[Crossings, Crossings, float]:
+    """The crossings without those of the thin pieces that samples have hit, which are then sampled; those; and what following them would take."""
     grid = Numbered(samples, crossings.axis)
     pieces, ends = pieces_of(crossings, grid)
     hit = _held(pieces, grid) & (pieces.width < 1)
     cost = _LINE * float((1 / pieces.width[hit].clamp_min(_THINNEST) - 1).sum())
-    return crossings.take(_without(len(crossings), ends[hit])), cost
+    return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit].flatten()), cost
 
 
 def _held(pieces: Pieces, grid: Numbered) -> Tensor:

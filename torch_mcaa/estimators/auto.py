@@ -16,7 +16,7 @@ from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, deciding, told
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel, deciding, told
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
@@ -179,8 +179,7 @@ class AutoRound(Round):
             part = self.parts.sampled_further(part, cell, spread, left, None if self.most is None else self.spp)
         else:
             part = self.parts.sampled_first(part, cell, counts, self.most * pixels - part.spent)
-        crowded = (judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1)
-        crowded = crowded.repeat_interleave(BLOCK, 0).repeat_interleave(BLOCK, 1)[: cell.height, : cell.width]
+        crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()
 

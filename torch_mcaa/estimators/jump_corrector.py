@@ -10,10 +10,12 @@ from torch import Tensor
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.lines import Samples
 from torch_mcaa.edges.pilot import Verdict, judge
+from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
+from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 
@@ -29,6 +31,8 @@ _ENOUGH = 2e-5
 """A standard error that is not worth refining, in ranges of the cell's values."""
 _FINER = (3, 9)
 """How many times as many lines finer lattices have; the second where a tolerance asks for it."""
+_UNCHECKED = 4.0
+"""What the crossings of a block may take that no second shift checks, in parts of what its lattice does."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +40,14 @@ class Corrected:
     """Of one cell, in the pixels (rows, cols) whose jumps were corrected, (P,) or (C, P).
 
     Attributes:
-        value, variance: float64; no variance if a second shift could not be paid for, which would tell it.
+        value, variance: float64; the variance NaN where a second shift could not be paid for, which would tell it.
         fine: bool, those corrected by the finer lattice.
     """
 
     rows: Tensor
     cols: Tensor
     value: Tensor
-    variance: Tensor | None
+    variance: Tensor
     fine: Tensor
 
 
@@ -105,23 +109,61 @@ class Corrector:
             axes, wanted = self._planned(found, wanted)
             if not bool(wanted.any()):
                 return None
-            before = self.ask.left
+            before = self.ask.points.clone()
             first = self.work.first(self.base, found, axes, wanted)
-            core = first.pixels.plane(first.core)
-            again = _AGAIN * (before - self.ask.left) + self.base.count * int(dilated(core, 2).sum())
         except Spent:
             return None
-        if not self.work.followed:
-            # thin pieces everywhere: samples do as well as lines that miss them
-            return None
-        if not bool(first.near.any()) or again > self.ask.left:
-            return _of(first, first.value, None, torch.zeros_like(first.near))
+        first, known, checked = self._afforded(first, self._by_block((self.ask.points - before).to(torch.float64)))
+        unknown = _of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
+        if not bool(known.any()):
+            return unknown
         try:
-            second = self.work.shift(self.base.count, 1, core, first)
+            second = self.work.shift(self.base.count, 1, first.pixels.plane(known), first)
         except Spent:
-            return _of(first, first.value, None, torch.zeros_like(first.near))
+            return unknown
+        first = replace(first, core=known)
         value, variance = _merged(first, second)
-        return self._refined(first, value, variance, sum(len(s) for s in found))
+        result = self._refined(self._kept(first, second, variance), value, variance, sum(len(s) for s in found))
+        result.variance[:, ~checked[result.rows, result.cols]] = torch.nan
+        return result
+
+    def _afforded(self, first: Level, spent: Tensor) -> tuple[Level, Tensor, Tensor]:
+        """The level without the dear blocks that cannot be checked; of those that can, which took least, the core (P,) and all (h, w).
+
+        spent: (blocks,) what its crossings took.
+        """
+        # with thin pieces that could not be followed samples do as well as lines that miss them
+        whole = self._by_block(self.work.lost.to(torch.float64)) == 0
+        core = first.pixels.plane(first.core)
+        cost = _AGAIN * spent + self.base.count * self._by_block(dilated(core, 2).to(torch.float64))
+        order = torch.argsort(cost)
+        known = torch.zeros_like(cost, dtype=torch.bool)
+        known[order] = (cost * whole)[order].cumsum(0) <= self.ask.left
+        size = self._by_block(torch.ones_like(self.plain[0]))
+        known &= whole
+        at, checked = (first.pixels.rows, first.pixels.cols), self._spread_out(known)
+        kept = self._spread_out(known | (whole & (spent <= _UNCHECKED * self.base.count * size)))[at]
+        return replace(first, near=first.near & kept, core=first.core & kept), first.core & checked[at], checked
+
+    def _kept(self, first: Level, second: Level, variance: Tensor) -> Level:
+        """The level without the blocks whose samples alone would do better with what is left: two shifts tell what either errs.
+
+        What the variance of samples falls with: their number to the power 1.5, as on edges.
+        """
+        if sides(self.work.window.filter) is not None:
+            # lines that lie alike about the sides of a box err alike in both shifts
+            return first
+        pixels = first.pixels
+        alone = (first.plain - pixels.of(second.pixels, second.plain, 0.0)).square() / 2
+        worth = (self.base.count / (self.base.count + self.ask.left / self.plain[0].numel())) ** 1.5
+        better = self._by_block(pixels.plane(torch.where(first.core, worth * alone - variance, 0).sum(0))) >= 0
+        kept = self._spread_out(better)[pixels.rows, pixels.cols]
+        return replace(first, near=first.near & kept, core=first.core & kept)
+
+    def _by_block(self, plane: Tensor) -> Tensor:
+        """(blocks,): the sums of a plane (h, w) over each."""
+        size = torch.tensor([b.height * b.width for b in self.cell.blocks(BLOCK)], dtype=torch.float64, device=plane.device)
+        return tile_means(plane, BLOCK, BLOCK).flatten() * size
 
     def _judged(self, found: list[Segments], part: list[Tensor]) -> Tensor:
         """The verdicts on the blocks, those that were judged before included."""
@@ -195,8 +237,7 @@ class Corrector:
 
     def _spread_out(self, by_block: Tensor) -> Tensor:
         """(h, w): what each pixel's block has."""
-        plane = by_block.view(self.blocks).repeat_interleave(BLOCK, 0).repeat_interleave(BLOCK, 1)
-        return plane[: self.cell.height, : self.cell.width]
+        return by_pixel(by_block.view(self.blocks), self.cell)
 
 
 def _finest(steps: int) -> float:
@@ -204,12 +245,10 @@ def _finest(steps: int) -> float:
     return 1.1 * 2.0**-steps
 
 
-def _of(level: Level, value: Tensor, variance: Tensor | None, fine: Tensor) -> Corrected:
+def _of(level: Level, value: Tensor, variance: Tensor, fine: Tensor) -> Corrected:
     """What a level has corrected."""
     near, pixels = level.near, level.pixels
-    return Corrected(
-        pixels.rows[near], pixels.cols[near], value[:, near], None if variance is None else variance[:, near], fine[near]
-    )
+    return Corrected(pixels.rows[near], pixels.cols[near], value[:, near], variance[:, near], fine[near])
 
 
 def _merged(first: Level, second: Level) -> tuple[Tensor, Tensor]:

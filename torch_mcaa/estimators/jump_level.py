@@ -9,17 +9,18 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.bisect import Crossings, bisect_all, joined
+from torch_mcaa.edges.bisect import Crossings, bisect_all, joined, placed
 from torch_mcaa.edges.candidates import Segments, candidates, without
 from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
-from torch_mcaa.edges.foretell import narrowed_all
+from torch_mcaa.edges.foretell import foretold, narrowed_all
 from torch_mcaa.edges.lines import Samples, norm, scattered, weighed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
+from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import deciding, told
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, deciding, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
@@ -28,6 +29,11 @@ from torch_mcaa.patterns import Lattice
 
 _FIRST = 0.45
 """The share of what is left that a first shift may spend on thin pieces."""
+_TIMES, _WALK = 4.0, 0.05
+"""What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
+on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
+_SEEN, _FORETOLD, _PARTS = 48, 0.75, 2
+"""Segments of a block from which on it is lost if a smaller share is foretold; unless segments have as many parts."""
 _THIN = 2.0**-12
 """Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
 _PREFERRED = 1.15
@@ -60,7 +66,7 @@ class Level:
     """One shift's result in some pixels, (P,) or (C, P).
 
     Attributes:
-        value: `spread` the variance of its brackets.
+        value: `plain` the weighted mean of its samples alone; `spread` the variance of its brackets.
         near: bool, the pixels whose filter reaches a crossing; `core` those where it weighs much.
         crossings: along either axis.
         axes: what they count for; for another shift, one axis alone where thin pieces are.
@@ -68,6 +74,7 @@ class Level:
 
     pixels: Pixels
     value: Tensor
+    plain: Tensor
     spread: Tensor
     near: Tensor
     core: Tensor
@@ -81,13 +88,13 @@ class Leveller:
     Attributes:
         plain: (C, h, w) the weighted means of a lattice that was sampled everywhere.
         finest: px, how narrow a bracket has to be.
-        followed: whether no thin piece that was met had to be left to sampling.
+        lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling.
     """
 
     def __init__(self, ask: Counted, cell: Cell, filter: SeparableFilter, seed: int, plain: Tensor) -> None:
         self.ask, self.cell, self.seed, self.plain = ask, cell, seed, plain
         self.window = Window(filter, plain.device)
-        self.finest, self.followed = 0.0, True
+        self.finest, self.lost = 0.0, torch.zeros_like(plain[0], dtype=torch.bool)
         self.smooth = self.deciding = self.plain.new_zeros(0)
 
     def worthwhile(self, found: list[Segments]) -> list[Segments]:
@@ -166,11 +173,10 @@ class Leveller:
         window, seed = self.window, self.seed + samples.number
         used = [axes.used(axis, wanted) for axis in (0, 1)]
         taken = [segments.take(self.reaching(segments, here)) for segments, here in zip(found, used, strict=True)]
-        most = _FIRST if known is None else 1.0
-        every = [
-            self._completed(crossings, samples, here, seed, most)
-            for crossings, here in zip(self._bisected(taken, samples, known, seed), used, strict=True)
-        ]
+        most, before = _FIRST if known is None else 1.0, self.ask.left
+        bisected = self._bisected(taken, samples, known, seed)
+        walk = _WALK * (before - self.ask.left)
+        every = [self._completed(c, samples, here, seed, most, walk) for c, here in zip(bisected, used, strict=True)]
         if pixels is None or plain is None:
             pixels = self.pixels(self.reached([(c.place, c.across) for c in every]) & wanted)
             plain = self.plain[:, pixels.rows, pixels.cols]
@@ -196,21 +202,27 @@ class Leveller:
             for _ in range(4):
                 densities = tuple(pixels.summed(d) for d in densities)
             share = torch.where(alike, (_PREFERRED * densities[0] >= densities[1]).to(share), share)
-        return Level(pixels, value, spread, near, core, every, Axes(pixels, share, torch.zeros_like(near)))
+        return Level(pixels, value, plain, spread, near, core, every, Axes(pixels, share, torch.zeros_like(near)))
 
-    def _completed(self, crossings: Crossings, samples: Samples, used: Tensor, seed: int, share: float) -> Crossings:
-        """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left."""
+    def _completed(self, crossings: Crossings, samples: Samples, used: Tensor, seed: int, share: float, walk: float) -> Crossings:
+        """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left, or goes astray."""
         if not thin_pieces(crossings, samples):
             return crossings
-        without, cost = unfollowed(crossings, samples)
+        without, hit, cost = unfollowed(crossings, samples)
         if cost <= share * self.ask.left:
             origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
+            limit = (_TIMES * cost + walk) / max(1, self.ask.left)
+            wanted = self._widened(used & ~self.lost)
             try:
-                with self.ask.keeping(1 - share):
-                    return complete(self.ask, crossings, samples, self._widened(used), origin, min(self.finest, _THIN), seed)
+                with self.ask.keeping(1 - min(share, limit)):
+                    return complete(self.ask, crossings, samples, wanted, origin, min(self.finest, _THIN), seed)
             except Spent:
                 pass
-        self.followed = self.followed and len(without) == len(crossings)
+        x, y = placed(hit.axis, hit.place, hit.across)
+        row, col = y.floor().long() - self.cell.row, x.floor().long() - self.cell.col
+        met = torch.zeros_like(self.lost)
+        met[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
+        self.lost |= by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
         return without
 
     def _bisected(self, segments: list[Segments], samples: Samples, known: list[Crossings] | None, seed: int) -> list[Crossings]:
@@ -230,9 +242,28 @@ class Leveller:
             for s, across in zip(segments, (samples.y, samples.x), strict=True)
         ]
         first = bisect_all(self.ask, [s.take(~o) for s, o in zip(segments, odd, strict=True)], self.finest, seed)
-        rest = narrowed_all(self.ask, [s.take(o) for s, o in zip(segments, odd, strict=True)], first, apart, seed)
+        even = self._regular([s.take(o) for s, o in zip(segments, odd, strict=True)], first, apart)
+        rest = narrowed_all(self.ask, even, first, apart, seed)
         second = bisect_all(self.ask, rest, self.finest, seed)
         return [joined([a, b]) for a, b in zip(first, second, strict=True)]
+
+    def _regular(self, segments: list[Segments], known: list[Crossings], apart: float) -> list[Segments]:
+        """The segments of the blocks in which the other lines foretell enough of them; the others are lost.
+
+        Thin pieces, and steps of which bisection finds many parts, are not foretold and say nothing.
+        """
+        size = -(-self.cell.height // BLOCK), -(-self.cell.width // BLOCK)
+        where = [blocks_of(self.cell, s) for s in segments]
+        right, every = (torch.zeros(size[0] * size[1], dtype=torch.int64, device=self.lost.device) for _ in range(2))
+        for some, crossings, block in zip(segments, known, where, strict=True):
+            if len(crossings) < _PARTS * (int(crossings.segment.max()) + 1 if len(crossings) else 0):
+                every += torch.bincount(block[~some.single], minlength=len(every))
+                right += torch.bincount(block[~some.single & foretold(some, crossings, apart)], minlength=len(every))
+        lost = (every >= _SEEN) & (right < _FORETOLD * every)
+        if not bool(lost.any()):
+            return segments
+        self.lost |= by_pixel(lost.view(size), self.cell)
+        return [s.take(~lost[block]) for s, block in zip(segments, where, strict=True)]
 
     def reaching(self, segments: Segments, wanted: Tensor) -> Tensor:
         """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""

@@ -184,8 +184,8 @@ class Parts:
             at = rows[kept], cols[kept]
             near[at] = True
             value[:, *at] = result.value[:, kept].to(task.dtype)
-            if result.variance is not None:
-                variance[:, *at] = result.variance[:, kept].to(task.dtype)
+            known = result.variance[:, kept].to(task.dtype)
+            variance[:, *at] = torch.where(known.isnan(), variance[:, *at], known)
             model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
         blind = None if found.blind is None else found.blind[inner] * ~near
         return Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count, blind)
