@@ -89,7 +89,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             where = look.where
             edge = look.sharp(crossings)
             tested += torch.bincount(where[edge], minlength=parts)
-            broken += torch.bincount(where[edge & look.bent(one + other)], minlength=parts)
+            broken += torch.bincount(where[edge & look.bent(one, other)], minlength=parts)
             lines += look.lines(crossings, parts)
             tried += torch.bincount(where, minlength=parts)
             # the foot of a smooth step looks like a jump to a candidate that sees no more of it: each counts by its change
@@ -157,9 +157,10 @@ class _Look:
         has[crossings.segment[self._steep(crossings)]] = True
         return has & ~self.some.single
 
-    def bent(self, sum_: Tensor) -> Tensor:
-        """Where two opposite values (C, S) have not the `sum_` of those at the segment's ends."""
-        return (sum_ - self.some.before - self.some.after).abs().amax(0) > 0.35 * self.size
+    def bent(self, one: Tensor, other: Tensor) -> Tensor:
+        """Where two opposite values (C, S) have not the sum of those at the segment's ends, but for what f bends where it is steep."""
+        off = (one + other - self.some.before - self.some.after).abs().amax(0)
+        return off > 0.35 * torch.maximum(self.size, (one - other).abs().amax(0))
 
     @property
     def size(self) -> Tensor:
