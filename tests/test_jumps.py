@@ -189,6 +189,18 @@ def test_fractals_are_sampled(name: str) -> None:
         last = float(other)
 
 
+def test_tips_are_followed_with_few_evaluations() -> None:
+    """The tips of a star are thin pieces, and looking for their ends is dearer than they seem; measured 7e-5 to 3e-4, 1e-3 without."""
+    turns = torch.arange(10, dtype=torch.float64) * (math.pi / 5) + 0.3
+    radius = torch.tensor([50.0, 20.0]).repeat(5)
+    star = scenes.Polygon([(float(x), float(y)) for x, y in zip(64 + radius * turns.cos(), 63 + radius * turns.sin(), strict=True)])
+    centre = torch.arange(128, dtype=torch.float64) + 0.5
+    truth = star.exact(centre[None], centre[:, None], mcaa.Gaussian(0.5, radius=4.0))
+    for seed in range(4):
+        error = mcaa.render(star, (128, 128), spp=8, seed=seed, filter=mcaa.Gaussian(0.5, radius=4.0)).image[0] - truth
+        assert error.square().mean().sqrt() < 4e-4
+
+
 def test_smooth_functions_are_no_worse_than_on_a_lattice() -> None:
     for scene, limit in (
         (scenes.Sinusoid(0.6, 0.5, 0.2), 1e-6),

@@ -29,7 +29,7 @@ from torch_mcaa.patterns import Lattice
 
 _FIRST = 0.45
 """The share of what is left that a first shift may spend on thin pieces."""
-_TIMES, _WALK = 4.0, 0.05
+_TIMES, _WALK = 4.0, 0.1
 """What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
 on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
 _SEEN, _FORETOLD, _PARTS = 48, 0.75, 2
