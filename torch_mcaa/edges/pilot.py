@@ -64,7 +64,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     continuous. More than 20 % foretold wrong: noise, which always "has a jump" in one half, so that counting jumps cannot tell. More than
     15 % of those foretold wrong that lie in the next segment, where no jump was seen: detail finer than the samples, which is noise too.
     More than 25 % of the jumps, of 10 or more, that are no edge: detail on every scale, of which bisection finds one jump of many. Where an
-    edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction.
+    edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction; about a
+    thin piece's they may both have the one outside it.
     And f is continuous where single samples that stick out without a jump change it by over 22 % of what jumps do.
 
     Args:
@@ -76,7 +77,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     )
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
-    tested, broken = torch.zeros_like(tried), torch.zeros_like(tried)
+    tested, more, less = (torch.zeros_like(tried) for _ in range(3))
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
     if any(len(look.where) for look in looks):
         bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
@@ -89,7 +90,9 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             where = look.where
             edge = look.sharp(crossings)
             tested += torch.bincount(where[edge], minlength=parts)
-            broken += torch.bincount(where[edge & look.bent(one, other)], minlength=parts)
+            bent = look.bent(one, other)
+            for way, total in ((1, more), (-1, less)):
+                total += torch.bincount(where[edge & (bent == way)], minlength=parts)
             lines += look.lines(crossings, parts)
             tried += torch.bincount(where, minlength=parts)
             # the foot of a smooth step looks like a jump to a candidate that sees no more of it: each counts by its change
@@ -106,6 +109,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
     verdict[(wrong > _MISPREDICTED * jumped) | (unseen > _UNSEEN * beside)] = Verdict.NOISE
+    # both outside of a thin piece have always less, or always more
+    broken = 2 * torch.minimum(more, less)
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
     verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
@@ -158,9 +163,13 @@ class _Look:
         return has & ~self.some.single
 
     def bent(self, one: Tensor, other: Tensor) -> Tensor:
-        """Where two opposite values (C, S) have not the sum of those at the segment's ends, but for what f bends where it is steep."""
-        off = (one + other - self.some.before - self.some.after).abs().amax(0)
-        return off > 0.35 * torch.maximum(self.size, (one - other).abs().amax(0))
+        """1 or -1 where two opposite values (C, S) have more or less than the sum of those at the segment's ends, else 0.
+
+        What f bends where it is steep does not count.
+        """
+        off = one + other - self.some.before - self.some.after
+        bent = off.abs().amax(0) > 0.35 * torch.maximum(self.size, (one - other).abs().amax(0))
+        return off.sum(0).sign() * bent
 
     @property
     def size(self) -> Tensor:
