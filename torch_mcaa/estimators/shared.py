@@ -14,7 +14,8 @@ from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice, Pattern
 
 _SAMPLES, _SIDE, _VECTOR = 2**21, 512, 16
-"""A cell has at most about so many samples, to stay in the cache, is at most so many pixels wide and tall, and a multiple of the last wide."""
+"""A compiled cell has at most about so many samples, to stay in the cache, and one of eager blocks, which stay there, twice as many; either is
+at most so many pixels wide and tall, and a multiple of the last wide."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Shared(Estimator):
             side = scale * (32 if adaptive and not isinstance(self.pattern, Lattice) else 64)
             return side, side
         # whole strips, and parts of the screen that are about as large: one graph serves them all
-        side = min(_SIDE * scale, int(scale * math.sqrt(_SAMPLES / spp)))
+        side = min(_SIDE * scale, int(scale * math.sqrt((2 - task.compiled) * _SAMPLES / spp)))
         return _part(task.screen.height, side, self.pattern.period(spp // self.replicates)), _part(task.screen.width, side, _VECTOR)
 
     def unfused(self, task: Task) -> str | None:
