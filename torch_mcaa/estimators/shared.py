@@ -69,7 +69,7 @@ class Shared(Estimator):
 
     def unfused(self, task: Task) -> str | None:
         if not isinstance(self.pattern, Lattice) or self.replicates > 1:
-            return f"{self} has no graph to compile f into: take Shared(Lattice())"
+            return super().unfused(task)
         return Fused.unfit(task)
 
     def round(self, task: Task, spp: int, number: int) -> Round:

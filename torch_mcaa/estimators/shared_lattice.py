@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,9 +23,6 @@ from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
 
 _SHIFT = 0x5F1F7
-
-
-Asked = Callable[[Tensor, Tensor], list[Tensor]]
 
 
 @dataclass(frozen=True)
@@ -177,13 +173,6 @@ class LatticeRound(Round):
         invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         return Measured(found.value, variance, invalid, heavy, None, at, blind)
 
-    def _asked(self, dtype: torch.dtype, col: Tensor, row: Tensor, shape: tuple[int, ...], f: Asked) -> list[Tensor]:
-        """The channels of f at screen places of a shape, or that expand to it, told in a dtype."""
-        task = self.task
-        x = task.screen.x_of(col).to(task.device, dtype)
-        y = task.screen.y_of(self._on_screen(row)).to(task.device, dtype)
-        return f(x.expand(shape), y)
-
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
         key = (cell.height, cell.width, cell.row % self.strip.period)
@@ -203,7 +192,7 @@ class LatticeRound(Round):
         samples are 0, and the weights of the others and of all are summed too.
         """
         task, strip = self.task, self.strip
-        dtype = task.screen.coordinate_dtype(cell, task.dtype)
+        asked = task.screen.coordinate_dtype(cell, task.dtype)
         cols = torch.arange(at.col, at.col + at.cols, dtype=torch.float64)
         rows = torch.arange(at.strip, at.strip + at.strips, dtype=torch.float64) * strip.period
         sums: list[Sums] = []
@@ -211,7 +200,9 @@ class LatticeRound(Round):
         counts = torch.zeros(at.strips * strip.period, at.cols, dtype=torch.int32, device=task.device) if masks else None
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
-            values = self._asked(dtype, col, row, shape, task.integrand if kept is None else task.coded)
+            x = task.screen.x_of(col).to(task.device, asked)
+            y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
+            values = (task.integrand if kept is None else task.coded)(x.expand(shape), y)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
                 values = [value.masked_fill(bad, 0) for value in values]
