@@ -9,14 +9,14 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.candidates import Segments, candidates, without
+from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel, deciding, told
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
@@ -203,12 +203,9 @@ class AutoRound(Round):
         blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):
             if codes is not None:
-                from torch_mcaa.estimators.decided import smooth
+                from torch_mcaa.estimators.decided import worthwhile
 
-                kinds = smooth(ask, found, parts.seed)
-                found = [without(s, kinds) for s in found]
-                sure = deciding(cell, found)
-                found = [told(cell, s, sure) for s in found]
+                found, _, _ = worthwhile(ask, cell, found, parts.seed)
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
         if self.jumps:
             judged.verdict.fill_(Verdict.JUMPS)

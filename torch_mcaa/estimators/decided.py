@@ -8,8 +8,10 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
-from torch_mcaa.edges.candidates import Segments, threshold
+from torch_mcaa.edges.candidates import Segments, threshold, without
+from torch_mcaa.estimators.blocks import deciding, told
 from torch_mcaa.estimators.counted import Counted
+from torch_mcaa.grid import Cell
 from torch_mcaa.traced.asked import AT_ONCE
 from torch_mcaa.traced.refine import located
 from torch_mcaa.traced.scan import Brackets
@@ -72,6 +74,14 @@ def _differing(ask: Counted, segments: Segments) -> Differing:
     cause, differing, branch = (torch.cat([getattr(s, name) for s in seen]) for name in ("cause", "differing", "branch"))
     brackets = replace(brackets, before=signature[0], after=signature[1])
     return Differing(brackets, cause, differing, branch, torch.cat([s.margin for s in seen], 1), whole)
+
+
+def worthwhile(ask: Counted, cell: Cell, found: list[Segments], seed: int) -> tuple[list[Segments], Tensor, Tensor]:
+    """The segments without those whose decisions do not make f jump, the kinds of these, and in which blocks of the cell f decides."""
+    kinds = smooth(ask, found, seed)
+    found = [without(s, kinds) for s in found]
+    blocks = deciding(cell, found)
+    return [told(cell, s, blocks) for s in found], kinds, blocks
 
 
 def smooth(ask: Counted, found: list[Segments], seed: int) -> Tensor:

@@ -20,7 +20,7 @@ from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, deciding, told
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
@@ -99,12 +99,10 @@ class Leveller:
 
     def worthwhile(self, found: list[Segments]) -> list[Segments]:
         """The segments without those whose decisions do not make f jump, which are left out on other shifts, too."""
-        from torch_mcaa.estimators.decided import smooth
+        from torch_mcaa.estimators.decided import worthwhile
 
-        self.smooth = smooth(self.ask, found, self.seed)
-        found = [without(s, self.smooth) for s in found]
-        self.deciding = deciding(self.cell, found)
-        return [told(self.cell, s, self.deciding) for s in found]
+        found, self.smooth, self.deciding = worthwhile(self.ask, self.cell, found, self.seed)
+        return found
 
     def pixels(self, mask: Tensor) -> Pixels:
         """Those of a mask of the cell, bool (h, w)."""
