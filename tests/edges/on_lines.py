@@ -12,7 +12,7 @@ from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
-from torch_mcaa.edges.lines import Everywhere, Samples, Scattered
+from torch_mcaa.edges.lines import Everywhere, Lines, Samples, Scattered
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters import SeparableFilter
 
@@ -57,7 +57,7 @@ def sampled(
     shape = rows, lines, cols
     at_row, at_col = torch.arange(row, row + rows)[:, None, None], torch.arange(col, col + cols)
     places = (x[:, None] + at_col).expand(shape).flatten(), (y[:, None] + at_row).expand(shape).flatten()
-    return Everywhere(x, y, row, col, ask(*places).unflatten(1, shape), number)
+    return Everywhere(x, y, number, row, col, ask(*places).unflatten(1, shape))
 
 
 def scatter(samples: Everywhere, asked: Tensor | None = None) -> Scattered:
@@ -66,7 +66,7 @@ def scatter(samples: Everywhere, asked: Tensor | None = None) -> Scattered:
     asked = torch.ones(planes.shape[1:3], dtype=torch.bool) if asked is None else asked
     slot = torch.full(asked.shape, -1)
     slot[asked] = torch.arange(int(asked.sum()))
-    return Scattered(samples.x, samples.y, samples.row, samples.col, planes[:, asked], samples.number, slot)
+    return Scattered(samples.x, samples.y, samples.number, samples.row, samples.col, planes[:, asked], slot)
 
 
 def segments(
@@ -135,5 +135,5 @@ class View:
     def density(self, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
         return self.window.density(self.pixels, axis, along, across, size).view(self.shape)
 
-    def ends(self, some: Crossings, samples: Samples) -> Tensor:
-        return ends(self.window, self.pixels, some, samples).unflatten(1, self.shape)
+    def ends(self, some: Crossings, lines: Lines) -> Tensor:
+        return ends(self.window, self.pixels, some, lines).unflatten(1, self.shape)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window, outer, pair
-from torch_mcaa.edges.lines import Samples, norm
+from torch_mcaa.edges.lines import Lines, norm
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
 from torch_mcaa.edges.pixels import Pixels
 
@@ -21,19 +21,19 @@ _FLAT = 0.1
 """The slope below which an edge lies along lines. Steeper ones cross them often enough for L to be smooth."""
 
 
-def ends(window: Window, pixels: Pixels, crossings: Crossings, samples: Samples) -> Tensor:
+def ends(window: Window, pixels: Pixels, crossings: Crossings, lines: Lines) -> Tensor:
     """(C, P): what sums over the lines along the one axis miss, from `crossings` on the lines along the other."""
     total = window.zeros(pixels, len(crossings.before))
-    part = crossings.take(_flat(crossings, samples))
+    part = crossings.take(_flat(crossings, lines))
     part = part.take(window.reaching(pixels, part.axis, part.place, part.across))
     profile = window.filter.profile
-    across = samples.y if crossings.axis == 1 else samples.x
+    across = lines.y if crossings.axis == 1 else lines.x
     # the lines lie at the same distances from every pixel's centre
     line = torch.sort(
         (across[:, None] + torch.arange(-window.reach - 1, window.reach + 2, device=window.device) - 0.5).flatten()
     ).values
-    scale = norm(samples, profile, window.halo)
-    weight = profile(line) / samples.count
+    scale = norm(lines, profile, window.halo)
+    weight = profile(line) / lines.count
     beyond = torch.cat([weight.flip(0).cumsum(0).flip(0), weight.new_zeros(1)])
     near, beside = part.place.floor().long()[:, None] + window.offsets, part.across.floor().long()[:, None] + window.offsets
     offset = part.place[:, None] - near - 0.5
@@ -46,9 +46,9 @@ def ends(window: Window, pixels: Pixels, crossings: Crossings, samples: Samples)
     return total[:, :-1]
 
 
-def _flat(crossings: Crossings, samples: Samples) -> Tensor:
+def _flat(crossings: Crossings, lines: Lines) -> Tensor:
     """The indices of crossings whose edge goes on to a neighbouring line with hardly any change of place."""
-    grid = Numbered(samples, crossings.axis)
+    grid = Numbered(lines, crossings.axis)
     line = grid.number(crossings.across)
     order = torch.argsort(place_of(line, crossings.place))
     places = place_of(line, crossings.place)[order]

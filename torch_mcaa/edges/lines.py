@@ -43,27 +43,35 @@ class Differences(ABC):
 
 
 @dataclass(frozen=True)
-class Samples(ABC):
-    """f at the points of a lattice in pixels of [row, row + R) x [col, col + Q).
+class Lines:
+    """The lines of a lattice.
 
     Attributes:
         x, y: (n,) float64 offsets in [0, 1) of the points in every pixel.
         number: which of the lattices of a cell this is; random numbers hang on it.
-        codes: one channel as `values` are, where f is followed: equal where it decided alike.
     """
 
     x: Tensor
     y: Tensor
-    row: int
-    col: int
-    values: Tensor
     number: int
-    codes: Tensor | None = field(default=None, kw_only=True)
 
     @property
     def count(self) -> int:
         """Points, and lines along either axis, in a pixel."""
         return len(self.x)
+
+
+@dataclass(frozen=True)
+class Samples(Lines, ABC):
+    """f at the points of a lattice in pixels of [row, row + R) x [col, col + Q).
+
+    `codes`: one channel as `values` are, where f is followed: equal where it decided alike.
+    """
+
+    row: int
+    col: int
+    values: Tensor
+    codes: Tensor | None = field(default=None, kw_only=True)
 
     def some(self, lines: slice) -> Self:
         """Those on some of the lines, of which the third axis of `values` is."""
@@ -163,8 +171,8 @@ def scattered(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor,
     slot = torch.full(asked.shape, -1, dtype=torch.int64, device=x.device)
     slot[at_row, at_col] = torch.arange(len(at_row), device=x.device)
     if coded:
-        return Scattered(x, y, row, col, values[:-1], number, slot, codes=values[-1:])
-    return Scattered(x, y, row, col, values, number, slot)
+        return Scattered(x, y, number, row, col, values[:-1], slot, codes=values[-1:])
+    return Scattered(x, y, number, row, col, values, slot)
 
 
 def taps(profile: Callable[[Tensor], Tensor], places: Tensor, reach: int) -> Tensor:
@@ -172,9 +180,9 @@ def taps(profile: Callable[[Tensor], Tensor], places: Tensor, reach: int) -> Ten
     return profile(places[:, None] + torch.arange(-reach, reach + 1, device=places.device) - 0.5)
 
 
-def norm(samples: Samples, profile: Callable[[Tensor], Tensor], reach: int) -> float:
-    """What the weights of the samples about any pixel sum to: about `samples.count`, by which they are divided."""
-    wx, wy = (taps(profile, place, reach).sum(1) for place in (samples.x, samples.y))
+def norm(lines: Lines, profile: Callable[[Tensor], Tensor], reach: int) -> float:
+    """What the weights of the samples about any pixel sum to: about `lines.count`, by which they are divided."""
+    wx, wy = (taps(profile, place, reach).sum(1) for place in (lines.x, lines.y))
     return float((wx * wy).sum())
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
-from torch_mcaa.edges.lines import Samples
+from torch_mcaa.edges.lines import Lines
 
 SHORT = 1.5
 """Px: longer pieces than this are on the next line for certain, unless they end."""
@@ -49,9 +49,9 @@ class Pieces:
 class Numbered:
     """The lines of a lattice along one axis, counted in order."""
 
-    def __init__(self, samples: Samples, axis: int) -> None:
-        self.axis, self.count = axis, samples.count
-        across, phase = (samples.y, samples.x) if axis == 0 else (samples.x, samples.y)
+    def __init__(self, lines: Lines, axis: int) -> None:
+        self.axis, self.count = axis, lines.count
+        across, phase = (lines.y, lines.x) if axis == 0 else (lines.x, lines.y)
         order = torch.argsort(across)
         self._across, self._phase = across[order], phase[order]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
 from torch_mcaa.edges.candidates import Segments, threshold
-from torch_mcaa.edges.lines import Ask, Samples
+from torch_mcaa.edges.lines import Ask, Lines
 from torch_mcaa.edges.pieces import SAME, SHORT, Known, Numbered, Pieces, pieces_of, place_of
 
 _STEEPEST = 3.0
@@ -31,7 +31,7 @@ _TWICE = 5e-4
 def complete(
     ask: Ask,
     crossings: Crossings,
-    samples: Samples,
+    lines: Lines,
     wanted: Tensor,
     origin: tuple[int, int],
     finest: float,
@@ -43,7 +43,7 @@ def complete(
     """
     if len(crossings) < 2:
         return crossings
-    grid = Numbered(samples, crossings.axis)
+    grid = Numbered(lines, crossings.axis)
     crossings = _opened(ask, crossings, grid, finest, seed)
     pieces, ends = pieces_of(crossings, grid)
     known = Known(pieces)
@@ -69,14 +69,14 @@ def complete(
     return work.with_found(crossings.take(_without(len(crossings), ends[drop])))
 
 
-def thin_pieces(crossings: Crossings, samples: Samples) -> bool:
+def thin_pieces(crossings: Crossings, lines: Lines) -> bool:
     """Whether there is a piece that samples may miss."""
-    return bool((pieces_of(crossings, Numbered(samples, crossings.axis))[0].width < SHORT).any())
+    return bool((pieces_of(crossings, Numbered(lines, crossings.axis))[0].width < SHORT).any())
 
 
-def unfollowed(crossings: Crossings, samples: Samples) -> tuple[Crossings, Crossings, float]:
+def unfollowed(crossings: Crossings, lines: Lines) -> tuple[Crossings, Crossings, float]:
     """The crossings without those of the thin pieces that samples have hit, which are then sampled; those; and what following them would take."""
-    grid = Numbered(samples, crossings.axis)
+    grid = Numbered(lines, crossings.axis)
     pieces, ends = pieces_of(crossings, grid)
     hit = _held(pieces, grid) & (pieces.width < 1)
     cost = _LINE * float((1 / pieces.width[hit].clamp_min(_THINNEST) - 1).sum())

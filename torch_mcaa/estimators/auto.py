@@ -16,7 +16,7 @@ from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
@@ -168,12 +168,11 @@ class AutoRound(Round):
             budget = int(
                 plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
             )
-            more = 0 if self.most is None else max(0, self.most * plan.cell.height * plan.cell.width - budget)
-            part = self.parts.located(
-                plan.cell, plan.lines, budget, plan.steps, jumping[blocks_in(cell, plan.cell)], self.wanted, more
-            )
-            done.append((plan.cell, part))
-            left, expected = left - min(budget, part.spent), expected - plan.cost
+            size = sum(each.height * each.width for each in plan.cells)
+            more = 0 if self.most is None else max(0, self.most * size - budget)
+            parts = self.parts.located(cell, plan.cells, plan.lines, budget, plan.steps, jumping, self.wanted, more)
+            done += parts
+            left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if counts is None or self.most is None:
             part = self.parts.sampled_further(part, cell, spread, left, None if self.most is None else self.spp)
@@ -198,7 +197,7 @@ class AutoRound(Round):
         codes = values[channels:, :, None] if self.task.followed else None
         values = values[:channels]
         x, y = x[None].to(self.task.device), y[None].to(self.task.device)
-        samples = Everywhere(x, y, row, col, values[:, :, None], 0, codes=codes)
+        samples = Everywhere(x, y, 0, row, col, values[:, :, None], codes=codes)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
         blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.candidates import Segments, candidates
-from torch_mcaa.edges.lines import Samples
+from torch_mcaa.edges.candidates import Segments
+from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
@@ -55,8 +55,8 @@ class Corrector:
     """The correction of one cell.
 
     Args:
-        base: samples of the cell and `Window.halo` pixels around it.
-        plain: (C, h, w) their weighted means.
+        base: the lattice that was sampled in the pixels whose jumps are to be corrected and `Window.halo` pixels around them.
+        plain: (C, h, w) their weighted means; where there are none, any within their range.
         allowed: bool (h, w), pixels that may be corrected.
         steps: how often a segment of 1 px is halved, at most.
         jumping: bool (blocks,), those that are known to jump and are not judged again.
@@ -70,7 +70,7 @@ class Corrector:
         cell: Cell,
         filter: SeparableFilter,
         seed: int,
-        base: Samples,
+        base: Lines,
         plain: Tensor,
         allowed: Tensor,
         steps: int,
@@ -79,18 +79,21 @@ class Corrector:
         more: int = 0,
     ) -> None:
         self.enough, self.more = enough, more
-        self.ask, self.cell, self.seed, self.base, self.plain = ask, cell, seed, base, plain.to(torch.float64)
+        self.ask, self.cell, self.seed, self.base = ask, cell, seed, base
+        self.plain = plain.to(torch.float64)
         self.work = Leveller(ask, cell, filter, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
         self.most_steps = steps
 
-    def run(self) -> Corrected | None:
-        """Judge the blocks, and correct those that jump as far as the evaluations go; None where nothing is corrected."""
-        found = [candidates(self.base, axis) for axis in (0, 1)]
+    def run(self, found: list[Segments]) -> Corrected | None:
+        """Judge the blocks, and correct those that jump as far as the evaluations go; None where nothing is corrected.
+
+        found: the candidates along x and along y of the samples.
+        """
         try:
             with self.ask.keeping(KEPT):
-                if self.base.codes is not None:
+                if self.ask.task.followed is not None:
                     found = self.work.worthwhile(found)
                 part = [blocks_of(self.cell, s) for s in found]
                 verdict = self._judged(found, part)
@@ -155,7 +158,7 @@ class Corrector:
             return first
         pixels = first.pixels
         alone = (first.plain - pixels.of(second.pixels, second.plain, 0.0)).square() / 2
-        worth = (self.base.count / (self.base.count + self.ask.left / self.plain[0].numel())) ** 1.5
+        worth = (self.base.count / (self.base.count + self.ask.left / max(1, int(self.allowed.count_nonzero())))) ** 1.5
         better = self._by_block(pixels.plane(torch.where(first.core, worth * alone - variance, 0).sum(0))) >= 0
         kept = self._spread_out(better)[pixels.rows, pixels.cols]
         return replace(first, near=first.near & kept, core=first.core & kept)

@@ -15,7 +15,7 @@ from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.foretell import foretold, narrowed_all
-from torch_mcaa.edges.lines import Samples, norm, scattered, weighed
+from torch_mcaa.edges.lines import Lines, norm, scattered, weighed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.audit import tile_means
@@ -153,13 +153,13 @@ class Leveller:
             return self._level(samples, found, self.axes(found)[0], wanted, pixels, plain)
         return self._level(samples, found, known.axes, wanted, pixels, plain, known.crossings)
 
-    def first(self, samples: Samples, found: list[Segments], axes: Axes, wanted: Tensor) -> Level:
+    def first(self, lines: Lines, found: list[Segments], axes: Axes, wanted: Tensor) -> Level:
         """The lattice that was sampled everywhere, in the pixels `wanted` (h, w) that a crossing reaches."""
-        return self._level(samples, found, axes, wanted)
+        return self._level(lines, found, axes, wanted)
 
     def _level(
         self,
-        samples: Samples,
+        lines: Lines,
         found: list[Segments],
         axes: Axes,
         wanted: Tensor,
@@ -168,17 +168,17 @@ class Leveller:
         known: list[Crossings] | None = None,
     ) -> Level:
         """Bisect the candidates of the axis that each pixel takes, and add what they miss."""
-        window, seed = self.window, self.seed + samples.number
+        window, seed = self.window, self.seed + lines.number
         used = [axes.used(axis, wanted) for axis in (0, 1)]
         taken = [segments.take(self.reaching(segments, here)) for segments, here in zip(found, used, strict=True)]
         most, before = _FIRST if known is None else 1.0, self.ask.left
-        bisected = self._bisected(taken, samples, known, seed)
+        bisected = self._bisected(taken, lines, known, seed)
         walk = _WALK * (before - self.ask.left)
-        every = [self._completed(c, samples, here, seed, most, walk) for c, here in zip(bisected, used, strict=True)]
+        every = [self._completed(c, lines, here, seed, most, walk) for c, here in zip(bisected, used, strict=True)]
         if pixels is None or plain is None:
             pixels = self.pixels(self.reached([(c.place, c.across) for c in every]) & wanted)
             plain = self.plain[:, pixels.rows, pixels.cols]
-        scale = norm(samples, window.filter.profile, window.halo)
+        scale = norm(lines, window.filter.profile, window.halo)
         corrections, spreads, densities = zip(*(window.correction(pixels, c, scale) for c in every), strict=True)
         # now that all is known, the mixture where both axes were followed
         share, open_ = pixels.of(axes.pixels, axes.share, 0.0), pixels.of(axes.pixels, axes.open, True)
@@ -188,7 +188,7 @@ class Leveller:
         for axis, weight in enumerate((share, 1 - share)):
             correction = corrections[axis]
             if mixed:
-                correction = correction + ends(window, pixels, every[1 - axis], samples)
+                correction = correction + ends(window, pixels, every[1 - axis], lines)
             value += weight * correction
             spread += weight**2 * spreads[axis]
         density = torch.lerp(densities[1], densities[0], share)
@@ -202,18 +202,18 @@ class Leveller:
             share = torch.where(alike, (_PREFERRED * densities[0] >= densities[1]).to(share), share)
         return Level(pixels, value, plain, spread, near, core, every, Axes(pixels, share, torch.zeros_like(near)))
 
-    def _completed(self, crossings: Crossings, samples: Samples, used: Tensor, seed: int, share: float, walk: float) -> Crossings:
+    def _completed(self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float, walk: float) -> Crossings:
         """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left, or goes astray."""
-        if not thin_pieces(crossings, samples):
+        if not thin_pieces(crossings, lines):
             return crossings
-        without, hit, cost = unfollowed(crossings, samples)
+        without, hit, cost = unfollowed(crossings, lines)
         if cost <= share * self.ask.left:
             origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
             limit = (_TIMES * cost + walk) / max(1, self.ask.left)
             wanted = self._widened(used & ~self.lost)
             try:
                 with self.ask.keeping(1 - min(share, limit)):
-                    return complete(self.ask, crossings, samples, wanted, origin, min(self.finest, _THIN), seed)
+                    return complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
             except Spent:
                 pass
         x, y = placed(hit.axis, hit.place, hit.across)
@@ -223,21 +223,21 @@ class Leveller:
         self.lost |= by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
         return without
 
-    def _bisected(self, segments: list[Segments], samples: Samples, known: list[Crossings] | None, seed: int) -> list[Crossings]:
+    def _bisected(self, segments: list[Segments], lines: Lines, known: list[Crossings] | None, seed: int) -> list[Crossings]:
         """The crossings of the segments along either axis; without any known, every second line foretells the others."""
         if any(bool((s.decided > 0).any()) for s in segments):
             from torch_mcaa.estimators.decided import crossings
 
             told, left = zip(*(crossings(self.ask, s.take(s.decided > 0), seed) for s in segments), strict=True)
             rest = [together([s.take(s.decided == 0), more]) for s, more in zip(segments, left, strict=True)]
-            found = self._bisected(rest, samples, known, seed)
+            found = self._bisected(rest, lines, known, seed)
             return [joined([a, b]) for a, b in zip(told, found, strict=True)]
-        apart = 2.5 / samples.count
+        apart = 2.5 / lines.count
         if known is not None:
             return bisect_all(self.ask, narrowed_all(self.ask, segments, known, apart, seed), self.finest, seed)
         odd = [
             torch.argsort(torch.argsort(across))[s.key[:, 0]] % 2 == 1
-            for s, across in zip(segments, (samples.y, samples.x), strict=True)
+            for s, across in zip(segments, (lines.y, lines.x), strict=True)
         ]
         first = bisect_all(self.ask, [s.take(~o) for s, o in zip(segments, odd, strict=True)], self.finest, seed)
         even = self._regular([s.take(o) for s, o in zip(segments, odd, strict=True)], first, apart)

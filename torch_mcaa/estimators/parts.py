@@ -10,13 +10,15 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.edges.candidates import Segments, candidates, joined
 from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import Everywhere
+from torch_mcaa.edges.lines import Everywhere, Lines
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
 from torch_mcaa.estimators.blocks import BLOCK
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.jump_corrector import Corrector
+from torch_mcaa.estimators.lattice_weights import Geometry
 from torch_mcaa.estimators.shared_lattice import LatticeRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -87,6 +89,14 @@ class Part:
         """Evaluations."""
         return int(self.points.sum())
 
+    def cut(self, at: tuple[slice, slice]) -> Part:
+        """A rectangle of it, whose planes are parts of these."""
+        heavy, blind = (None if plane is None else plane[:, *at] for plane in (self.heavy, self.blind))
+        density = torch.as_tensor(self.density).expand(self.points.shape)[at]
+        return Part(
+            self.value[:, *at], self.variance[:, *at], self.points[at], self.invalid[at], heavy, self.model[at], density, blind
+        )
+
     def estimate(self) -> Estimate:
         """With the floor for what its lattice did not meet."""
         floor = unseen(self.value, self.density)
@@ -140,9 +150,17 @@ class Parts:
         return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp, blind)
 
     def located(
-        self, cell: Cell, count: int, budget: int, steps: int, jumping: Tensor, wanted: Tolerance | None = None, more: int = 0
-    ) -> Part:
-        """A lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
+        self,
+        cell: Cell,
+        rectangles: list[Cell],
+        count: int,
+        budget: int,
+        steps: int,
+        jumping: Tensor,
+        wanted: Tolerance | None = None,
+        more: int = 0,
+    ) -> list[tuple[Cell, Part]]:
+        """Rectangles of a cell by one lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
 
         And `more` where that does not come to what is `wanted`.
 
@@ -151,44 +169,68 @@ class Parts:
         """
         task = self.task
         assert isinstance(task.filter, SeparableFilter)
-        pixels = cell.height * cell.width
+        pixels = sum(each.height * each.width for each in rectangles)
         while count > _FEWEST and (count + self.audited) * pixels > budget:
             count -= 2
         if (count + self.audited) * pixels > budget:
-            return self.sampled(cell, max(1, budget // pixels), budget)
+            spp = budget // pixels
+            return [(each, self.sampled(each, max(1, spp), spp * each.height * each.width)) for each in rectangles]
         lattice = self._lattice(count, True)
-        around = self._around(cell)
-        found = lattice.measured(around, keep=True)
-        top, left = cell.row - around.row, cell.col - around.col
-        inner = (..., slice(top, top + cell.height), slice(left, left + cell.width))
-        value, variance, invalid = found.value[inner], found.variance[inner], found.invalid[inner]
-        heavy = None if found.heavy is None else found.heavy[inner]
-        assert found.samples is not None
         x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
-        channels = task.integrand.channels
-        codes = found.samples[channels:] if task.followed else None
-        base = Everywhere(x, y, found.at.strip, found.at.col, found.samples[:channels], 0, codes=codes)
-        sampled = count + self.audited
-        ask = self.ask(cell, budget - sampled * pixels)
-        allowed = self._allowed(cell, found.invalid, inner) & (not self.random)
-        if heavy is not None:
-            allowed &= ~heavy.any(0)
+        around = [self._around(each) for each in rectangles]
+        owner = _Owner(rectangles, [lattice.weights.geometry(each) for each in around], task.device)
+        ask = self.ask(cell, budget - (count + self.audited) * pixels)
+        allowed = torch.zeros(cell.height, cell.width, dtype=torch.bool, device=task.device)
+        plain: list[tuple[Cell, Part]] = []
+        found: tuple[list[Segments], list[Segments]] = [], []
+        for number, (each, region) in enumerate(zip(rectangles, around, strict=True)):
+            part, usable, samples = self._plain(lattice, each, region, Lines(x, y, 0))
+            plain.append((each, part))
+            allowed[each.within(cell)] = usable
+            for axis in (0, 1):
+                found[axis].append(owner.those_of(number, candidates(samples, axis)))
+        part = self.joined(cell, plain, ask)
+        # what lies in none of them must not widen the range of the values
+        inside, any_of_them = torch.as_tensor(part.density) > 0, part.value[:, *plain[0][0].within(cell)][:, :1, :1]
+        value = torch.where(inside, part.value, any_of_them)
         enough = None if wanted is None else wanted.allowed(value.to(torch.float64)) / FEW_SHIFTS[0]
-        result = Corrector(ask, cell, task.filter, self.seed, base, value, allowed, steps, jumping, enough, more).run()
-        model = torch.full((cell.height, cell.width), PLAIN, dtype=torch.uint8, device=task.device)
-        near = torch.zeros_like(model, dtype=torch.bool)
+        corrector = Corrector(
+            ask, cell, task.filter, self.seed, Lines(x, y, 0), value, allowed & (not self.random), steps, jumping, enough, more
+        )
+        result = corrector.run([joined(some) for some in found])
         if result is not None:
             rows, cols, kept = result.rows, result.cols, slice(None)
             if bool(ask.invalid.any()):
                 kept = ~dilated(ask.invalid > 0, Window.halo_of(task.filter))[rows, cols]
             at = rows[kept], cols[kept]
-            near[at] = True
-            value[:, *at] = result.value[:, kept].to(task.dtype)
+            part.value[:, *at] = result.value[:, kept].to(task.dtype)
             known = result.variance[:, kept].to(task.dtype)
-            variance[:, *at] = torch.where(known.isnan(), variance[:, *at], known)
-            model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
-        blind = None if found.blind is None else found.blind[inner] * ~near
-        return Part(value, variance, ask.points + sampled, invalid + ask.invalid, heavy, model, count, blind)
+            part.variance[:, *at] = torch.where(known.isnan(), part.variance[:, *at], known)
+            part.model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
+            if part.blind is not None:
+                part.blind[:, *at] = 0
+        part.points.add_(ask.points)
+        part.invalid.add_(ask.invalid)
+        return [(each, part.cut(each.within(cell))) for each in rectangles]
+
+    def _plain(self, lattice: LatticeRound, cell: Cell, around: Cell, lines: Lines) -> tuple[Part, Tensor, Everywhere]:
+        """A rectangle by a lattice alone, which of its pixels may be corrected, and the samples in and around it."""
+        found = lattice.measured(around, keep=True)
+        top, left = cell.row - around.row, cell.col - around.col
+        inner = (..., slice(top, top + cell.height), slice(left, left + cell.width))
+        heavy = None if found.heavy is None else found.heavy[inner]
+        assert found.samples is not None
+        channels = self.task.integrand.channels
+        codes = found.samples[channels:] if self.task.followed else None
+        samples = Everywhere(lines.x, lines.y, 0, found.at.strip, found.at.col, found.samples[:channels], codes=codes)
+        allowed = self._allowed(cell, found.invalid, inner)
+        if heavy is not None:
+            allowed &= ~heavy.any(0)
+        blind = None if found.blind is None else found.blind[inner]
+        points = torch.full_like(allowed, lines.count + self.audited, dtype=torch.int64)
+        model = torch.full_like(allowed, PLAIN, dtype=torch.uint8)
+        part = Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, lines.count, blind)
+        return part, allowed, samples
 
     def _lattice(self, spp: int, lines: bool) -> LatticeRound:
         if (spp, lines) not in self._lattices:
@@ -308,6 +350,26 @@ class Parts:
             if more.heavy is not None:
                 heavy[:, *at] |= more.heavy & here
         return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density, blind)
+
+
+class _Owner:
+    """Which of several rectangles, sampled in and around, has the segments that begin in a pixel: the one it is of, or the first that reaches it."""
+
+    def __init__(self, rectangles: list[Cell], at: list[Geometry], device: torch.device) -> None:
+        self.row, self.col = min(a.strip for a in at), min(a.col for a in at)
+        shape = max(a.strip + a.strips for a in at) - self.row, max(a.col + a.cols for a in at) - self.col
+        self.alone = len(rectangles) == 1
+        if self.alone:
+            return
+        self.number = torch.full(shape, -1, device=device)
+        areas = [Cell(a.strip, a.col, a.strips, a.cols) for a in at]
+        for index, area in [*reversed([*enumerate(areas)]), *enumerate(rectangles)]:
+            self.number[area.within(Cell(self.row, self.col, *shape))] = index
+
+    def those_of(self, number: int, segments: Segments) -> Segments:
+        if self.alone:
+            return segments
+        return segments.take(self.number[segments.key[:, 1] - self.row, segments.key[:, 2] - self.col] == number)
 
 
 def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, int]]:

@@ -39,9 +39,9 @@ _LINE, _LINE_STEP = 19.0, 4.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done with a rectangle of a cell: a lattice of `lines` points a pixel and its jumps located in `steps`, or, for 0, a plain one."""
+    """What is done with rectangles of a cell: a lattice of `lines` points a pixel and its jumps located in `steps`, or, for 0, a plain one."""
 
-    cell: Cell
+    cells: list[Cell]
     lines: int
     steps: int
     cost: float
@@ -56,7 +56,7 @@ def plans_of(
     second: int,
     ample: int = 0,
 ) -> list[Plan]:
-    """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
+    """Those for the blocks of a cell, the one of the most lines last: as many as `budget` evaluations in all are expected to pay for.
 
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
     `ample` evaluations a pixel if they need them for three lines.
@@ -75,14 +75,15 @@ def plans_of(
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
     labels = [int(count) for count in lines]
+    rectangles = cell.rectangles(BLOCK, labels)
     return [
         Plan(
-            part,
-            labels[inside[0]],
+            [part for part, inside in rectangles if labels[inside[0]] == count],
+            count,
             steps,
-            sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
+            float(((cost * count if count else share) * (lines == count)).sum()),
         )
-        for part, inside in cell.rectangles(BLOCK, labels)
+        for count in sorted(set(labels))
     ]
 
 
