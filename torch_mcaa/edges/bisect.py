@@ -11,6 +11,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.edges.picking import numbers, pick
 
 _PLACE = 0xB15EC
 _LEAF = 1 / 16
@@ -54,7 +55,8 @@ class Crossings:
 
     def take(self, index: Tensor) -> Crossings:
         """The crossings at `index`, integers or bool."""
-        return Crossings(self.axis, *(getattr(self, field.name)[..., index] for field in fields(self)[1:]))
+        index = numbers(index)
+        return Crossings(self.axis, *(pick(getattr(self, field.name), index) for field in fields(self)[1:]))
 
 
 def joined(parts: list[Crossings]) -> Crossings:
@@ -105,25 +107,25 @@ class _Bisection:
 
     def at(self, along: Tensor, root: Tensor) -> Tensor:
         """f (C, N) at places of segments."""
-        across, flat = self.across[root], self.flat[root]
+        across, flat = pick(self.across, root), pick(self.flat, root)
         return self.ask(torch.where(flat, along, across), torch.where(flat, across, along))
 
     def start(self) -> None:
         """Quarters of the wide segments, at once: a middle alone would often miss a second thin piece close by."""
         wide = self.high - self.low > _QUARTERED
         whole, rest = wide.nonzero()[:, 0], (~wide).nonzero()[:, 0]
-        self.live = self.followed(rest, self.low[rest], self.high[rest], self.before[:, rest], self.after[:, rest])
+        self.live = self.followed(rest, *(pick(ends, rest) for ends in (self.low, self.high, self.before, self.after)))
         if len(whole) == 0:
             return
-        axis = torch.where(self.flat, 0, 1)[whole]
-        stream = torch.cat([p.stream for p in self.parts])[whole]
+        axis = pick(torch.where(self.flat, 0, 1), whole)
+        stream = pick(torch.cat([p.stream for p in self.parts]), whole)
         moved = _SPLIT * (rng.uniform(self.seed, _PLACE, axis, stream).to(torch.float64) - 0.5)
         share = (torch.arange(1, 4, device=whole.device)[:, None] + moved) / 4
-        low, high = self.low[whole], self.high[whole]
+        low, high = pick(self.low, whole), pick(self.high, whole)
         places = low + share * (high - low)
         values = self.at(places.flatten(), whole.repeat(3)).unflatten(1, places.shape)
         ends = torch.cat([low[None], places, high[None]])
-        values = torch.cat([self.before[:, None, whole], values, self.after[:, None, whole]], 1)
+        values = torch.cat([pick(self.before, whole)[:, None], values, pick(self.after, whole)[:, None]], 1)
         quarters = self.followed(
             whole.repeat(4), ends[:-1].flatten(), ends[1:].flatten(), values[:, :-1].flatten(1), values[:, 1:].flatten(1)
         )
@@ -131,24 +133,26 @@ class _Bisection:
 
     def followed(self, root: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor) -> tuple[Tensor, ...]:
         """The brackets that are to be narrowed further; of the others those that are steps of their own are noted."""
-        change, least = (after - before).abs(), self.least[:, root]
+        change, least = (after - before).abs(), pick(self.least, root)
         on, some, wide = (change > least).any(0), (change > _FAINT * least).any(0), high - low > _LEAF
         leaf = some & ~on & ~wide
+        live = root, low, high, before, after
         on |= some & wide
         if bool(leaf.any()):
-            self.done.append((root[leaf], low[leaf], high[leaf], before[:, leaf], after[:, leaf]))
+            self.done.append(tuple(pick(each, numbers(leaf)) for each in live))
         if not bool(on.all()):
-            root, low, high, before, after = root[on], low[on], high[on], before[:, on], after[:, on]
-        few = torch.bincount(root, minlength=len(self.across))[root] <= _MOST
-        if not bool(few.all()):
-            root, low, high, before, after = root[few], low[few], high[few], before[:, few], after[:, few]
-        return root, low, high, before, after
+            live = tuple(pick(each, numbers(on)) for each in live)
+        pieces = torch.bincount(live[0], minlength=len(self.across))
+        if bool((pieces > _MOST).any()):
+            few = numbers(pick(pieces, live[0]) <= _MOST)
+            live = tuple(pick(each, few) for each in live)
+        return live
 
     def halve(self, finest: float) -> None:
         """Halve the brackets until all are narrow, the widest first: those at work are the first ones."""
         steps = torch.log2((self.live[2] - self.live[1]) / finest).ceil().clamp_min(0).long()
         order = torch.argsort(steps, descending=True, stable=True)
-        self.live = tuple(field[..., order] for field in self.live)
+        self.live = tuple(pick(each, order) for each in self.live)
         more, count = torch.bincount(steps).tolist(), 0
         for step in range(len(more) - 1, 0, -1):
             count += more[step]
@@ -160,7 +164,7 @@ class _Bisection:
         root, low, high, before, after = (field[..., :count] for field in self.live)
         middle = (low + high) / 2
         value = self.at(middle, root)
-        least, first, second = self.least[:, root], (value - before).abs(), (after - value).abs()
+        least, first, second = pick(self.least, root), (value - before).abs(), (after - value).abs()
         left = (first > least).any(0)
         # almost always one half holds the jump and the other has no change
         odd = (torch.minimum(first, second) > _FAINT * least).any(0) | (left == (second > least).any(0))
@@ -186,10 +190,10 @@ class _Bisection:
         root, low, high = (torch.cat([part[k] for part in every]) for k in (0, 1, 2))
         before, after = (torch.cat([part[k] for part in every], 1) for k in (3, 4))
         # a segment is at most 1 px long
-        order = torch.argsort(4 * root + (low - self.low[root]))
-        order = order[self._whole(root, after - before, high - low)[root[order]]]
-        root, low, high, before, after = root[order], low[order], high[order], before[:, order], after[:, order]
-        place, width, across, phase = (low + high) / 2, high - low, self.across[root], self.phase[root]
+        order = torch.argsort(4 * root + (low - pick(self.low, root)))
+        order = pick(order, numbers(pick(self._whole(root, after - before, high - low), pick(root, order))))
+        root, low, high, before, after = (pick(each, order) for each in (root, low, high, before, after))
+        place, width, across, phase = (low + high) / 2, high - low, pick(self.across, root), pick(self.phase, root)
         sizes = torch.tensor([0, *(len(p) for p in self.parts)], device=root.device).cumsum(0)
         starts = torch.searchsorted(root, sizes).tolist()
         return [

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.lines import Differences, Samples
+from torch_mcaa.edges.picking import numbers
 
 _TIMES = 3.0
 _AROUND = 4
@@ -65,11 +66,11 @@ class Segments:
 
     def take(self, index: Tensor) -> Segments:
         """The segments at `index`, integers or bool."""
-        return Segments(self.axis, *(getattr(self, field.name)[_along(field.name, index)] for field in fields(self)[1:]))
-
-
-def _along(name: str, index: Tensor) -> Tensor | tuple[slice, Tensor]:
-    return (slice(None), index) if name in ("before", "after", "least") else index
+        index = numbers(index)
+        return Segments(
+            self.axis,
+            *(getattr(self, field.name).index_select(0 if field.name == "key" else -1, index) for field in fields(self)[1:]),
+        )
 
 
 def threshold(change: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import SeparableFilter
 
@@ -67,7 +68,7 @@ class Window:
         """(P,): the sum of `size` times |w| at places on lines along `axis`: how much change they see."""
         total = self.zeros(pixels, 1)[0]
         some = self.reaching(pixels, axis, along, across)
-        along, across, size = along[some], across[some], size[some]
+        along, across, size = (pick(each, some) for each in (along, across, size))
         x, y = (along, across) if axis == 0 else (across, along)
         cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
         across_x, across_y = (self.filter.profile(place[:, None] - pixel - 0.5).abs() for place, pixel in ((x, cols), (y, rows)))

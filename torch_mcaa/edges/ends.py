@@ -14,6 +14,7 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window, outer, pair
 from torch_mcaa.edges.lines import Lines, norm
+from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
 from torch_mcaa.edges.pixels import Pixels
 
@@ -51,14 +52,15 @@ def _flat(crossings: Crossings, lines: Lines) -> Tensor:
     grid = Numbered(lines, crossings.axis)
     line = grid.number(crossings.across)
     order = torch.argsort(place_of(line, crossings.place))
-    places = place_of(line, crossings.place)[order]
+    places, lines_of, where = (pick(each, order) for each in (place_of(line, crossings.place), line, crossings.place))
+    jump, jumps = pick(crossings.jump, order), crossings.jump
     flat = torch.zeros_like(line, dtype=torch.bool)
     size = crossings.jump.abs().amax(0)
     for step in (1, -1):
         target = place_of(line + step, crossings.place)
         after = torch.searchsorted(places, target)
         for index in (after, after - 1):
-            one = order[index.clamp(0, max(0, len(order) - 1))]
-            alike = (crossings.jump[:, one] - crossings.jump).abs().amax(0) <= SAME * size
-            flat |= (line[one] == line + step) & ((crossings.place[one] - crossings.place).abs() * grid.count < _FLAT) & alike
+            one = index.clamp(0, max(0, len(order) - 1))
+            alike = (pick(jump, one) - jumps).abs().amax(0) <= SAME * size
+            flat |= (pick(lines_of, one) == line + step) & ((pick(where, one) - crossings.place).abs() * grid.count < _FLAT) & alike
     return flat.nonzero()[:, 0]

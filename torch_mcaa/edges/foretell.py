@@ -12,6 +12,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.edges.picking import numbers, pick
 
 _STREAM = 0xF0E7
 _WITHIN = 2.0**-9
@@ -63,8 +64,8 @@ class _Try:
             return cls(none.long(), none, none)
         place, found = _foretold(segments, known, apart)
         inside = (place > segments.low + 2 * _WITHIN) & (place < segments.high - 2 * _WITHIN)
-        index = (found & ~segments.single & inside).nonzero()[:, 0]
-        place = place[index]
+        index = numbers(found & ~segments.single & inside)
+        place = pick(place, index)
         # no two brackets alike: the middles of the last ones must not err alike
         shape = _WITHIN * (1 + 0.25 * rng.uniform(seed, _STREAM, segments.axis, segments.stream[index]).to(torch.float64))
         return cls(index, place - shape, place + _WITHIN)
@@ -74,10 +75,10 @@ def _short(segments: Segments, tried: _Try, values: Tensor) -> Segments:
     """With short brackets where f has the segment's colours at both ends of them."""
     index = tried.index
     before, after = values.split(len(index), 1) if len(index) else (values, values)
-    least = segments.least[:, index]
-    right = ((before - segments.before[:, index]).abs() <= least) & ((after - segments.after[:, index]).abs() <= least)
-    right = right.all(0)
-    index, low, high, before, after = index[right], tried.low[right], tried.high[right], before[:, right], after[:, right]
+    least = pick(segments.least, index)
+    right = ((before - pick(segments.before, index)).abs() <= least) & ((after - pick(segments.after, index)).abs() <= least)
+    right = numbers(right.all(0))
+    index, low, high, before, after = (pick(each, right) for each in (index, tried.low, tried.high, before, after))
     return replace(
         segments,
         low=segments.low.index_copy(0, index, low),
@@ -92,23 +93,24 @@ def _foretold(segments: Segments, known: Crossings, apart: float) -> tuple[Tenso
     # by column of pixels along the line, then by line
     place = known.place.floor() * _FAR + known.across
     order = torch.argsort(place)
-    place = place[order]
+    place = pick(place, order)
+    across, where = (pick(each, order) for each in (known.across, known.place))
+    jump, column = pick(known.jump, order), where.floor()
+    change, own = segments.after - segments.before, segments.low.floor()
+    any_jump = segments.least.isinf()
     sides = []
     for step in (0, -1):
         nearest = torch.full_like(segments.across, -1).to(torch.int64)
         distance = torch.full_like(segments.across, apart)
         for shift in (-1, 0, 1, 2):
-            target = (segments.low.floor() + shift) * _FAR + segments.across
-            index = (torch.searchsorted(place, target, right=step == 0) + step).clamp(0, len(place) - 1)
-            one = order[index]
-            off = (known.across[one] - segments.across).abs()
-            fits = (known.place[one].floor() == segments.low.floor() + shift) & (off < distance)
-            fits &= (known.across[one] >= segments.across) if step == 0 else (known.across[one] <= segments.across)
-            alike = (known.jump[:, one] - (segments.after - segments.before)).abs() <= segments.least
-            fits &= (alike | segments.least.isinf()).all(0)
+            target = (own + shift) * _FAR + segments.across
+            one = (torch.searchsorted(place, target, right=step == 0) + step).clamp(0, len(place) - 1)
+            off = pick(across, one) - segments.across if step == 0 else segments.across - pick(across, one)
+            fits = (pick(column, one) == own + shift) & (off < distance) & (off >= 0)
+            fits &= (((pick(jump, one) - change).abs() <= segments.least) | any_jump).all(0)
             nearest, distance = torch.where(fits, one, nearest), torch.where(fits, off, distance)
         sides.append((nearest, distance))
     (above, up), (below, down) = sides
     found = (above >= 0) & (below >= 0)
     share = torch.where(up + down > 0, down / (up + down).clamp_min(1e-12), 0.5)
-    return known.place[below.clamp_min(0)] * (1 - share) + known.place[above.clamp_min(0)] * share, found
+    return pick(where, below.clamp_min(0)) * (1 - share) + pick(where, above.clamp_min(0)) * share, found

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.lines import Lines
+from torch_mcaa.edges.picking import numbers, pick
 
 SHORT = 1.5
 """Px: longer pieces than this are on the next line for certain, unless they end."""
@@ -32,7 +33,8 @@ class Pieces:
 
     def take(self, index: Tensor) -> Pieces:
         """The pieces at `index`, integers or bool."""
-        return Pieces(*(getattr(self, field.name)[..., index] for field in fields(self)))
+        index = numbers(index)
+        return Pieces(*(pick(getattr(self, field.name), index) for field in fields(self)))
 
     @property
     def width(self) -> Tensor:
@@ -101,14 +103,16 @@ def pieces_of(crossings: Crossings, grid: Numbered) -> tuple[Pieces, Tensor]:
     """The pieces between neighbouring crossings of a line, and the index (P, 2) of their crossings."""
     line = grid.number(crossings.across)
     order = torch.argsort(place_of(line, crossings.place))
-    a, b = order[:-1], order[1:]
-    between = (crossings.after[:, a] - crossings.before[:, b]).abs().amax(0)
-    jumps = torch.minimum(crossings.jump[:, a].abs().amax(0), crossings.jump[:, b].abs().amax(0))
+    ordered, line = crossings.take(order), pick(line, order)
+    place, width, jump = ordered.place, ordered.width, ordered.jump.abs().amax(0)
+    between = (ordered.after[:, :-1] - ordered.before[:, 1:]).abs().amax(0)
+    apart = place[1:] - place[:-1]
     # the leaves of one steep step touch each other
-    gap = crossings.place[b] - crossings.place[a] - (crossings.width[a] + crossings.width[b]) / 2
-    good = (line[a] == line[b]) & (gap > torch.minimum(crossings.width[a], crossings.width[b]))
-    good &= (between <= SAME * jumps) | (crossings.place[b] - crossings.place[a] > SHORT)
-    a, b = a[good], b[good]
-    inside = (crossings.after[:, a] + crossings.before[:, b]) / 2
-    pieces = Pieces(line[a], crossings.place[a], crossings.place[b], crossings.before[:, a], inside, crossings.after[:, b])
-    return pieces, torch.stack([a, b], 1)
+    gap = apart - (width[:-1] + width[1:]) / 2
+    good = (line[:-1] == line[1:]) & (gap > torch.minimum(width[:-1], width[1:]))
+    good &= (between <= SAME * torch.minimum(jump[:-1], jump[1:])) | (apart > SHORT)
+    a = numbers(good)
+    first, second = ordered.take(a), ordered.take(a + 1)
+    inside = (first.after + second.before) / 2
+    pieces = Pieces(pick(line, a), first.place, second.place, first.before, inside, second.after)
+    return pieces, torch.stack([pick(order, a), pick(order, a + 1)], 1)

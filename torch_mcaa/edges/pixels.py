@@ -7,6 +7,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torch_mcaa.edges.picking import pick
+
 
 class Pixels:
     """The pixels of `mask`, bool (h, w), whose first is (row, col) on the screen; row by row.
@@ -21,22 +23,26 @@ class Pixels:
         self.height, self.width = mask.shape
         flat = mask.flatten().nonzero()[:, 0]
         self.rows, self.cols = flat // self.width, flat % self.width
-        self._slot = torch.full(
-            (self.height + 2 * margin, self.width + 2 * margin), len(self), dtype=torch.int64, device=mask.device
-        )
-        self._slot[self.rows + margin, self.cols + margin] = torch.arange(len(self), device=mask.device)
+        wide = self.width + 2 * margin
+        self._slot = torch.full(((self.height + 2 * margin) * wide,), len(self), dtype=torch.int64, device=mask.device)
+        self._slot[self._flat(self.rows + row, self.cols + col)] = torch.arange(len(self), device=mask.device)
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def index(self, rows: Tensor, cols: Tensor) -> Tensor:
         """Where in the list the pixels (rows, cols) of the screen are, P for those that are not."""
-        return self._slot[rows + (self.margin - self.row), cols + (self.margin - self.col)]
+        at = self._flat(rows, cols)
+        return self._slot.index_select(0, at.flatten()).view(at.shape)
+
+    def _flat(self, rows: Tensor, cols: Tensor) -> Tensor:
+        wide = self.width + 2 * self.margin
+        return rows * wide + ((self.margin - self.row) * wide + self.margin - self.col) + cols
 
     def of(self, other: Pixels, values: Tensor, default: float) -> Tensor:
         """(..., P): values (..., Q) of another list of the same rectangle; `default` where that has no such pixel."""
         rest = values.new_full((*values.shape[:-1], 1), default)
-        return torch.cat([values, rest], -1)[..., other.index(self.rows + self.row, self.cols + self.col)]
+        return pick(torch.cat([values, rest], -1), other.index(self.rows + self.row, self.cols + self.col))
 
     def plane(self, values: Tensor) -> Tensor:
         """(h, w): values (P,), and 0 elsewhere."""
@@ -48,14 +54,14 @@ class Pixels:
         """(..., P): the sum over each pixel and its neighbours in the list, up and down and then across."""
         for near in self._near:
             around = torch.cat([values, values.new_zeros((*values.shape[:-1], 1))], -1)
-            values = around[..., near[0]] + values + around[..., near[1]]
+            values = pick(around, near[0]) + values + pick(around, near[1])
         return values
 
     def greatest(self, values: Tensor, reach: int) -> Tensor:
         """(P,): the largest of values (P,) >= 0 of pixels in the list that are `reach` steps off, or less, over others in it."""
         for near in self._near * reach:
             around = torch.cat([values, values.new_zeros(1)])
-            values = torch.maximum(torch.maximum(around[near[0]], values), around[near[1]])
+            values = torch.maximum(torch.maximum(pick(around, near[0]), values), pick(around, near[1]))
         return values
 
     @cached_property
