@@ -56,9 +56,12 @@ class Importance(Pixelwise):
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         u, v = pixels.points(self.pattern, n)
-        density = self._density(pixels.task)
-        dx, dy = density.sample(u, v)
-        weight = pixels.task.filter(dx, dy) / density.pdf(dx, dy)
+        filter = pixels.task.filter
+        if self.density is None:
+            dx, dy, weight = filter.sample(u, v)
+        else:
+            dx, dy = self.density.sample(u, v)
+            weight = filter(dx, dy) / self.density.pdf(dx, dy)
         values, valid = pixels.evaluate(dx, dy)
         return weighted(values, weight, valid, self.pattern, u, v)
 
