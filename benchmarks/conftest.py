@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import pytest
@@ -27,7 +28,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     for row, found, before, verdict in table:
         now = (f"{found.value:7.3f}", f"{found.spread:7.3f}") if found else ("missing", "")
         stored = "" if before is None else f"{before:7.3f}"
-        terminalreporter.write_line(f"{row.name:62} {now[0]:>7} {now[1]:>7} {stored:>7} {row.reach:7.3f}  {verdict}")
+        terminalreporter.write_line(f"{row.name:62} {now[0]:>7} {now[1]:>7} {stored:>7} {'' if row.reach == math.inf else f'{row.reach:.3f}':>7}  {verdict}")
     if config.getoption("--store"):
         _store(table)
 
@@ -38,6 +39,9 @@ def _store(table: list[Any]) -> None:
 
     everything = json.loads(BASELINE.read_text(encoding="utf8")) if BASELINE.exists() else {}
     machine = facts("numba", "scipy")
-    ratios = stored().get("ratios", {}) | {row.name: float(f"{found.value:.3g}") for row, found, _, _ in table if found}
+    ratios = stored().get("ratios", {})
+    for row, found, _, _ in table:
+        if found:
+            ratios[row.name] = {"ratio": float(f"{found.value:.3g}"), "spread": float(f"{found.spread:.1g}")}
     everything[f"{machine['threads']} threads"] = {"machine": machine, "ratios": ratios}
     BASELINE.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf8")

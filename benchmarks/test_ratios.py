@@ -38,7 +38,7 @@ def test_ratio(row: Row, benchmark: Any, request: pytest.FixtureRequest) -> None
     except Missing as missing:
         table.append((row, None, None, str(missing)))
         pytest.skip(str(missing))
-    before = stored().get("ratios", {}).get(row.name)
+    before = stored().get("ratios", {}).get(row.name, {}).get("ratio")
     benchmark.extra_info.update(ratio=found.value, spread=found.spread, baseline=before, reach=row.reach)
     said = verdict(found, before, row.reach)
     table.append((row, found, before, said))

@@ -12,15 +12,15 @@ import torch
 
 from .base import RADIUS, STD, Outcome
 from .cases import Case, Field
-from .grid import MARGIN, bands, samples
+from .grid import BAND, MARGIN, bands, samples
 
 
-def picture(f: Field, size: int, k: int, std: float = STD) -> torch.Tensor:
+def picture(f: Field, size: int, k: int, std: float = STD, band: int = BAND) -> torch.Tensor:
     """(size, size); k is odd."""
     from kornia.filters import gaussian_blur2d
 
     image, reach = torch.empty(size, size), 2 * int(RADIUS * k) + 1
-    for rows in bands(size, k):
+    for rows in bands(size, k, band):
         # what it pads around the edges lies in the margin, but for half a pixel that weighs less than 1e-5
         blurred = gaussian_blur2d(samples(f, rows, size, k)[None, None], (reach, reach), (std * k, std * k))
         first = MARGIN * k + k // 2
