@@ -333,8 +333,8 @@ def test_blocks_that_can_be_located_among_others_are_corrected_together() -> Non
     located = (picture.model == LOCATED).to(torch.float64).mean()
     assert 0.3 < float(located) < 0.8
     assert len(calls) < 1500
-    # three lines a pixel are all that can be had here: corners err as samples do
+    # three lines a pixel are all that can be had; half of the blocks are sampled as before
     known = mcaa.render(f, (512, 512), estimator=mcaa.Shared(), spp=256).image
     plain = mcaa.render(f, (512, 512), estimator=mcaa.Shared()).image
     errors = [float((image - known).square().mean().sqrt()) for image in (picture.image, plain)]
-    assert errors[0] < 1.3 * errors[1]
+    assert errors[0] < 0.8 * errors[1]

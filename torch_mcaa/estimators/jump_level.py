@@ -96,6 +96,8 @@ class Leveller:
         self.window = Window(filter, plain.device)
         self.finest, self.lost = 0.0, torch.zeros_like(plain[0], dtype=torch.bool)
         self.smooth = self.deciding = self.plain.new_zeros(0)
+        # what following thin pieces took along either axis on the last shift: chance decides how many of them samples hit
+        self.took = [0, 0]
 
     def worthwhile(self, found: list[Segments]) -> list[Segments]:
         """The segments without those whose decisions do not make f jump, which are left out on other shifts, too."""
@@ -209,11 +211,14 @@ class Leveller:
         without, hit, cost = unfollowed(crossings, lines)
         if cost <= share * self.ask.left:
             origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
-            limit = (_TIMES * cost + walk) / max(1, self.ask.left)
+            before = self.ask.left
+            limit = (_TIMES * max(cost, self.took[crossings.axis]) + walk) / max(1, before)
             wanted = self._widened(used & ~self.lost)
             try:
                 with self.ask.keeping(1 - min(share, limit)):
-                    return complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
+                    crossings = complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
+                self.took[crossings.axis] = before - self.ask.left
+                return crossings
             except Spent:
                 pass
         x, y = placed(hit.axis, hit.place, hit.across)
