@@ -32,6 +32,10 @@ def waves(p: Tensor) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
     return lambda x, y: (torch.sin(p[0] * x / 2 + p[1] * y), p[2] * torch.cos(0.3 * x * p[0]))
 
 
+def _step(x: Tensor, edge: Tensor) -> Tensor:
+    return (x < edge).to(torch.float32)
+
+
 class Net(torch.nn.Module):
     """A small coordinate network of three channels."""
 
@@ -345,6 +349,23 @@ class TestBadInput:
             layer(Net(), call=-1)
         with pytest.raises(McaaError, match=r"pictures are on cpu, f's parameter layers.0.weight on meta"):
             layer(Net().to("meta"))
+        elsewhere = torch.tensor(3.0, device="meta", requires_grad=True)
+        with pytest.raises(McaaError, match=r"pictures are on cpu, and f uses a tensor of shape \(\) on meta; move one"):
+            layer(lambda x, y: x * elsewhere)
+        with pytest.raises(McaaError, match="tensors on meta have none; move the textures"):
+            layer(torch.zeros(1, 1, 4, 4, device="meta"))
+
+    def test_values_from_code_that_nobody_sees_are_no_silent_zero(self) -> None:
+        radius = torch.tensor(3.0, requires_grad=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            step: Callable[..., Tensor] = torch.jit.script(_step)
+        layer = mcaa.Supersampler((8, 8), estimator=mcaa.Shared())
+        with pytest.warns(McaaWarning, match=r"test_supersampler.py:\d+: .* the trace cannot see .* the picture gets no gradient"):
+            assert not layer(lambda x, y: step(x, radius)).requires_grad
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("error")
+            layer(lambda x, y: step(x, radius))
 
     def test_a_module_that_ignores_its_parameters(self) -> None:
         class Ignores(Net):

@@ -126,6 +126,10 @@ class Supersampler(torch.nn.Module):
         return self._picture(texture, seed, texture.image.dtype, f.device).to(f.dtype).unflatten(0, f.shape[:2])
 
     def _picture(self, f: Function, seed: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+        if device.type == "meta":
+            raise McaaError(
+                "a picture needs values, and tensors on meta have none; move the textures, or the layer, to another device"
+            )
         if isinstance(f, torch.nn.Module):
             for name, tensor in f.named_parameters():
                 if tensor.device != device:

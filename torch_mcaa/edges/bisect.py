@@ -53,8 +53,10 @@ class Crossings:
     def jump(self) -> Tensor:
         return self.after - self.before
 
-    def take(self, index: Tensor) -> Crossings:
-        """The crossings at `index`, integers or bool."""
+    def take(self, index: Tensor | slice) -> Crossings:
+        """The crossings at `index`, integers, bool or a slice, of which they are views."""
+        if isinstance(index, slice):
+            return Crossings(self.axis, *(getattr(self, field.name)[..., index] for field in fields(self)[1:]))
         index = numbers(index)
         return Crossings(self.axis, *(pick(getattr(self, field.name), index) for field in fields(self)[1:]))
 

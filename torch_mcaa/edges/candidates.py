@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -22,6 +22,8 @@ _ROW, _COL = 0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F
 """Odd numbers that no small differences of rows and columns cancel, modulo 2^64."""
 _AT_ONCE = 1 << 17
 """Samples whose differences are held at a time."""
+_WINDOWS = 1 << 14
+"""Differences whose neighbours are held at a time."""
 _FOLLOWED = 0.2
 """A part of a segment may hold a jump while its change is over this share of the segment's."""
 
@@ -66,6 +68,8 @@ class Segments:
 
     def take(self, index: Tensor) -> Segments:
         """The segments at `index`, integers or bool."""
+        if index.dtype == torch.bool and bool(index.all()):
+            return self
         index = numbers(index)
         return Segments(
             self.axis,
@@ -107,14 +111,8 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
         some = differences.pruned(some, _TIMES)
     flat = some.flatten().nonzero()[:, 0]
     channel, index = flat // max(1, size.shape[1]), flat % max(1, size.shape[1])
-    around = torch.arange(-_AROUND, _AROUND + 1, device=size.device)
-    near = differences.beside(index, around)
-    window = size[channel[:, None], near.clamp_min(0)].masked_fill(near < 0, torch.nan)
-    # a side that lies beyond the samples says nothing
-    sides = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
-    change = size[channel, index]
-    largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
-    chosen = change > torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(size.dtype).eps * largest)
+    parts = zip(channel.split(_WINDOWS), index.split(_WINDOWS), strict=True)
+    chosen = torch.cat([_stands_out(differences, *part) for part in parts])
     # from here on what is no candidate counts as no difference
     if many:
         size.masked_fill_(~some, 0)
@@ -154,6 +152,48 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
     phase = (samples.x if axis == 0 else samples.y)[line]
     key = torch.stack([line, row, col], 1)
     return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet, decided)
+
+
+def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Tensor:
+    """bool (N,): which differences are over three times the median of the four on either side, and more than rounding."""
+    size = differences.size
+    near = differences.beside(index, torch.arange(-_AROUND, _AROUND + 1, device=size.device))
+    window = size[channel[:, None], near.clamp_min(0)].masked_fill(near < 0, torch.nan)
+    # a side that lies beyond the samples says nothing
+    sides = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
+    largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
+    least = torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(size.dtype).eps * largest)
+    return size[channel, index] > least
+
+
+class Finder:
+    """The candidates of a lattice that is seen a few lines after the other, along both axes."""
+
+    def __init__(self) -> None:
+        self._parts: tuple[list[Segments], list[Segments]] = [], []
+
+    def look(self, samples: Samples, first: int, kept: Callable[[Segments], Segments] = lambda segments: segments) -> None:
+        """See lines, of which the first is number `first` of the lattice's, for those of their segments that are to be `kept`."""
+        for axis, parts in enumerate(self._parts):
+            part = candidates(samples, axis)
+            part.key[:, 0] += first
+            parts.append(kept(part))
+
+    @property
+    def looks(self) -> int:
+        """How often it has looked."""
+        return len(self._parts[0])
+
+    def forget(self, looks: int) -> None:
+        """All but the first looks."""
+        for parts in self._parts:
+            del parts[looks:]
+
+    def found(self) -> list[Segments]:
+        """Along x, and along y; they are forgotten here."""
+        found = [joined(parts) for parts in self._parts]
+        self.forget(0)
+        return found
 
 
 def joined(parts: Sequence[Segments]) -> Segments:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -46,8 +47,8 @@ class Window:
         channels = len(crossings.before)
         total, spread, seen = (self.zeros(pixels, count) for count in (channels, channels, 1))
         crossings = crossings.take(self.reaching(pixels, crossings.axis, crossings.place, crossings.across))
-        for start in range(0, len(crossings), _AT_ONCE):
-            part = crossings.take(torch.arange(start, min(start + _AT_ONCE, len(crossings)), device=self.device))
+        for at in slices(len(crossings)):
+            part = crossings.take(at)
             along, across = part.place, part.across
             near, beside = along.floor().long()[:, None] + self.offsets, across.floor().long()[:, None] + self.offsets
             d, density = self._missed(along, part.phase, near)
@@ -69,10 +70,14 @@ class Window:
         total = self.zeros(pixels, 1)[0]
         some = self.reaching(pixels, axis, along, across)
         along, across, size = (pick(each, some) for each in (along, across, size))
-        x, y = (along, across) if axis == 0 else (across, along)
-        cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
-        across_x, across_y = (self.filter.profile(place[:, None] - pixel - 0.5).abs() for place, pixel in ((x, cols), (y, rows)))
-        total.index_add_(0, pair(pixels, rows, cols), outer(across_y * size[:, None], across_x).view(-1))
+        places = (along, across) if axis == 0 else (across, along)
+        for at in slices(len(size)):
+            x, y = (place[at] for place in places)
+            cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
+            across_x, across_y = (
+                self.filter.profile(place[:, None] - pixel - 0.5).abs() for place, pixel in ((x, cols), (y, rows))
+            )
+            total.index_add_(0, pair(pixels, rows, cols), outer(across_y * size[at, None], across_x).view(-1))
         return total[:-1]
 
     def reaching(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> Tensor:
@@ -96,6 +101,11 @@ class Window:
         past = (weight[:, None] * (distances[:, None] > offset[..., None])).sum(-1)
         beyond = 1 - self.filter.profile_cdf(offset)
         return beyond * weight.sum(-1, keepdim=True) - past, self.filter.profile(offset).abs()
+
+
+def slices(count: int) -> Iterator[slice]:
+    """Of so many places: each adds to all the pixels around it, and of few at a time that can be held."""
+    return (slice(start, start + _AT_ONCE) for start in range(0, count, _AT_ONCE))
 
 
 def pair(pixels: Pixels, rows: Tensor, cols: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
-from torch_mcaa.edges.correction import Window, outer, pair
+from torch_mcaa.edges.correction import Window, outer, pair, slices
 from torch_mcaa.edges.lines import Lines, norm
 from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
@@ -36,14 +36,16 @@ def ends(window: Window, pixels: Pixels, crossings: Crossings, lines: Lines) -> 
     scale = norm(lines, profile, window.halo)
     weight = profile(line) / lines.count
     beyond = torch.cat([weight.flip(0).cumsum(0).flip(0), weight.new_zeros(1)])
-    near, beside = part.place.floor().long()[:, None] + window.offsets, part.across.floor().long()[:, None] + window.offsets
-    offset = part.place[:, None] - near - 0.5
-    missed = (1 - window.filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
-    side = profile(part.across[:, None] - beside - 0.5) / scale
-    index = pair(pixels, near, beside) if crossings.axis == 1 else pair(pixels, beside, near)
-    weights = outer(missed, side) if crossings.axis == 1 else outer(side, missed)
-    for channel, jump in enumerate(part.jump.to(torch.float64)):
-        total[channel].index_add_(0, index, (jump[:, None, None] * weights).view(-1))
+    for at in slices(len(part)):
+        some = part.take(at)
+        near, beside = some.place.floor().long()[:, None] + window.offsets, some.across.floor().long()[:, None] + window.offsets
+        offset = some.place[:, None] - near - 0.5
+        missed = (1 - window.filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
+        side = profile(some.across[:, None] - beside - 0.5) / scale
+        index = pair(pixels, near, beside) if crossings.axis == 1 else pair(pixels, beside, near)
+        weights = outer(missed, side) if crossings.axis == 1 else outer(side, missed)
+        for channel, jump in enumerate(some.jump.to(torch.float64)):
+            total[channel].index_add_(0, index, (jump[:, None, None] * weights).view(-1))
     return total[:, :-1]
 
 

@@ -187,7 +187,12 @@ def norm(lines: Lines, profile: Callable[[Tensor], Tensor], reach: int) -> float
 
 
 def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
-    """(C, N) float64: the samples' weighted means about the centres of the pixels (rows, cols), counted on the screen.
+    """(C, N) float64: the samples' weighted means; `summed` over `norm`."""
+    return summed(samples, profile, rows, cols, reach) / norm(samples, profile, reach)
+
+
+def summed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
+    """(C, N) float64: the samples' weighted sums about the centres of the pixels (rows, cols), counted on the screen.
 
     profile: the filter along either axis; it is 0 more than `reach` pixels off, where all pixels were asked.
     """
@@ -196,7 +201,7 @@ def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tenso
     weight = (wy.T[:, None] * wx.T).flatten(1)
     size = max(1, _AT_ONCE // weight.shape[1])
     parts = [_sums(samples, weight, offsets, *part) for part in zip(rows.split(size), cols.split(size), strict=True)]
-    return torch.cat(parts, 1) / norm(samples, profile, reach)
+    return torch.cat(parts, 1)
 
 
 def _sums(samples: Scattered, weight: Tensor, offsets: Tensor, rows: Tensor, cols: Tensor) -> Tensor:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from torch_mcaa.traced.asked import Asked
 
 _STREAM, _TWICE = 0x2A5C, 16
+_HELD = 1 << 14
+"""Places that are counted at once."""
 
 
 class Spent(Exception):
@@ -86,7 +88,7 @@ class Counted:
         # counted later: of few places a call is dearer than they are
         self._places.append((col, row))
         self._held += len(col)
-        if self._held > BLOCK * width_of(col.device):
+        if self._held > _HELD * width_of(col.device):
             self._counted()
 
     def coded(self, col: Tensor, row: Tensor) -> Tensor:
@@ -135,9 +137,13 @@ class Counted:
             values = values.masked_fill(bad, 0)
         return values
 
-    def _spend(self, count: int) -> None:
+    def check(self, count: int) -> None:
+        """Raises Spent if fewer evaluations are left."""
         if count > self.left - self.kept:
             raise Spent
+
+    def _spend(self, count: int) -> None:
+        self.check(count)
         self.left -= count
 
     def _bad(self, values: Tensor) -> Tensor | None:

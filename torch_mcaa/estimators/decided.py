@@ -7,8 +7,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.bisect import Crossings, joined
 from torch_mcaa.edges.candidates import Segments, threshold, without
+from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.estimators.blocks import deciding, told
 from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.grid import Cell
@@ -21,6 +22,8 @@ from torch_mcaa.traced.visitors import Causes
 _FREQUENT, _TRIED = 64, 32
 _MIX = 0x1E3779B97F4A7C15
 """An odd number: products with it are in an order that looks random."""
+_PART = 1 << 14
+"""Segments that are looked at together."""
 _SMOOTH = 0.02
 """A jump is at least so much of what f changes by in the segments that hold it, or f is continuous there."""
 _NONE = 1e-12
@@ -34,6 +37,16 @@ def crossings(ask: Counted, segments: Segments, seed: int) -> tuple[Crossings, S
 
     Those are for bisection: an edge lies within the rounding of a sample.
     """
+    every = torch.arange(len(segments), device=segments.low.device)
+    if len(segments) <= _PART:
+        return _crossings(ask, segments, seed)
+    # what is known of a segment while it is looked at is ten times as much as in the end
+    found, rest = zip(*(_crossings(ask, segments.take(part), seed) for part in every.split(_PART)), strict=True)
+    found = [replace(one, segment=one.segment + number * _PART) for number, one in enumerate(found)]
+    return joined(found), together(list(rest))
+
+
+def _crossings(ask: Counted, segments: Segments, seed: int) -> tuple[Crossings, Segments]:
     found = _differing(ask, segments)
     met = found.cause >= 0
     changes = located(ask.decisions, found.take(met), seed)

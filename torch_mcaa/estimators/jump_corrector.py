@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.candidates import Segments
+from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
@@ -86,11 +86,12 @@ class Corrector:
         self.blocks = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
         self.most_steps = steps
 
-    def run(self, found: list[Segments]) -> Corrected | None:
+    def run(self, finder: Finder) -> Corrected | None:
         """Judge the blocks, and correct those that jump as far as the evaluations go; None where nothing is corrected.
 
-        found: the candidates along x and along y of the samples.
+        finder: has seen the samples.
         """
+        found = finder.found()
         try:
             with self.ask.keeping(KEPT):
                 if self.ask.task.followed is not None:
@@ -116,6 +117,9 @@ class Corrector:
             first = self.work.first(self.base, found, axes, wanted)
         except Spent:
             return None
+        segments = sum(len(s) for s in found)
+        # as large as all that is to come
+        del found, part, followed
         first, known, checked = self._afforded(first, self._by_block((self.ask.points - before).to(torch.float64)))
         unknown = _of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
         if not bool(known.any()):
@@ -126,7 +130,7 @@ class Corrector:
             return unknown
         first = replace(first, core=known)
         value, variance = _merged(first, second)
-        result = self._refined(self._kept(first, second, variance), value, variance, sum(len(s) for s in found))
+        result = self._refined(self._kept(first, second, variance), value, variance, segments)
         result.variance[:, ~checked[result.rows, result.cols]] = torch.nan
         return result
 

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, joined, placed
-from torch_mcaa.edges.candidates import Segments, candidates, without
+from torch_mcaa.edges.candidates import Finder, Segments, without
 from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.foretell import foretold, narrowed_all
-from torch_mcaa.edges.lines import Lines, norm, scattered, weighed
+from torch_mcaa.edges.lines import Lines, norm, scattered, summed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.audit import tile_means
@@ -25,6 +25,8 @@ from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import BLOCK as INTEGRAND
+from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
 
 _FIRST = 0.45
@@ -44,6 +46,8 @@ _NONE = 0.05
 _DECIDED = 0.5
 """Of a decision whose jump is not known, what it counts for in means of all."""
 _SHIFT = 0x11E5
+_AT_ONCE = 4 * INTEGRAND
+"""Samples of a shift that are held at a time."""
 
 
 @dataclass(frozen=True)
@@ -145,15 +149,23 @@ class Leveller:
         row, col = cell.row - halo, cell.col - halo
         asked &= on_screen(self.ask.task, row, col, (asked.shape[0], asked.shape[1]))
         coded = self.ask.task.followed is not None
-        samples = scattered(self.ask.coded if coded else self.ask, x, y, row, col, asked, number, coded)
-        pixels = self.pixels(wanted)
-        plain = weighed(samples, window.filter.profile, pixels.rows + cell.row, pixels.cols + cell.col, halo)
-        found = [candidates(samples, axis) for axis in (0, 1)]
+        pixels, lines, finder = self.pixels(wanted), Lines(x, y, number), Finder()
+        inner = (slice(halo, halo + cell.height), slice(halo, halo + cell.width))
+        self.ask.check(count * int(asked[inner].count_nonzero()))
+        plain = torch.zeros(len(self.plain), len(pixels), dtype=torch.float64, device=window.device)
+        step = max(1, _AT_ONCE * width_of(window.device) // max(1, int(asked.count_nonzero())))
+        for first in range(0, count, step):
+            some = slice(first, first + step)
+            samples = scattered(self.ask.coded if coded else self.ask, x[some], y[some], row, col, asked, number, coded)
+            plain += summed(samples, window.filter.profile, pixels.rows + cell.row, pixels.cols + cell.col, halo)
+            finder.look(samples, first)
+        plain /= norm(lines, window.filter.profile, halo)
+        found = finder.found()
         if coded:
             found = [told(self.cell, without(s, self.smooth), self.deciding) for s in found]
         if known is None:
-            return self._level(samples, found, self.axes(found)[0], wanted, pixels, plain)
-        return self._level(samples, found, known.axes, wanted, pixels, plain, known.crossings)
+            return self._level(lines, found, self.axes(found)[0], wanted, pixels, plain)
+        return self._level(lines, found, known.axes, wanted, pixels, plain, known.crossings)
 
     def first(self, lines: Lines, found: list[Segments], axes: Axes, wanted: Tensor) -> Level:
         """The lattice that was sampled everywhere, in the pixels `wanted` (h, w) that a crossing reaches."""

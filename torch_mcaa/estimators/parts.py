@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.candidates import Segments, candidates, joined
+from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere, Lines
 from torch_mcaa.estimators.audit import tile_means
@@ -19,7 +21,7 @@ from torch_mcaa.estimators.blocks import BLOCK
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.lattice_weights import Geometry
-from torch_mcaa.estimators.shared_lattice import LatticeRound
+from torch_mcaa.estimators.shared_lattice import LatticeRound, Look
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import width_of
@@ -40,8 +42,10 @@ _FEWEST = 3
 """Lines."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
-_SAMPLES = 1 << 23
-"""What a cell may keep."""
+_LATTICES = 2
+"""Those that are remembered for the next cell."""
+_CROSSED = 1 << 14
+"""The lines that an edge may cross in a cell: what is kept of it grows with them."""
 _CLASSES = 3
 """Steps of how much f changes in a block, by which blocks are sampled together."""
 _SMALL = 1e-4
@@ -54,9 +58,9 @@ def located(model: Tensor) -> bool:
 
 
 def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:
-    """The cells of estimators that keep a cell's samples: fewer pixels where each has many."""
+    """The cells of estimators that keep a cell's crossings: smaller where there are many lines."""
     side, width = 512, width_of(device)
-    while side > 128 and (adaptive or side * side * spp > _SAMPLES):
+    while side > 64 and (side * spp > _CROSSED or (adaptive and side > 128)):
         side //= 2
     side *= math.isqrt(width)
     return side, side
@@ -182,13 +186,19 @@ class Parts:
         ask = self.ask(cell, budget - (count + self.audited) * pixels)
         allowed = torch.zeros(cell.height, cell.width, dtype=torch.bool, device=task.device)
         plain: list[tuple[Cell, Part]] = []
-        found: tuple[list[Segments], list[Segments]] = [], []
+        finder = Finder()
         for number, (each, region) in enumerate(zip(rectangles, around, strict=True)):
-            part, usable, samples = self._plain(lattice, each, region, Lines(x, y, 0))
+            begun = finder.looks
+
+            def look(at: Geometry, planes: slice, values: Sequence[Tensor], number: int = number, begun: int = begun) -> None:
+                if planes.start == 0:
+                    # samples that are not finite are 0 the second time
+                    finder.forget(begun)
+                finder.look(self._seen(at, x[planes], y[planes], values), planes.start, partial(owner.those_of, number))
+
+            part, usable = self._plain(lattice, each, region, look)
             plain.append((each, part))
             allowed[each.within(cell)] = usable
-            for axis in (0, 1):
-                found[axis].append(owner.those_of(number, candidates(samples, axis)))
         part = self.joined(cell, plain, ask)
         # what lies in none of them must not widen the range of the values
         inside, any_of_them = torch.as_tensor(part.density) > 0, part.value[:, *plain[0][0].within(cell)][:, :1, :1]
@@ -197,7 +207,7 @@ class Parts:
         corrector = Corrector(
             ask, cell, task.filter, self.seed, Lines(x, y, 0), value, allowed & (not self.random), steps, jumping, enough, more
         )
-        result = corrector.run([joined(some) for some in found])
+        result = corrector.run(finder)
         if result is not None:
             rows, cols, kept = result.rows, result.cols, slice(None)
             if bool(ask.invalid.any()):
@@ -213,27 +223,32 @@ class Parts:
         part.invalid.add_(ask.invalid)
         return [(each, part.cut(each.within(cell))) for each in rectangles]
 
-    def _plain(self, lattice: LatticeRound, cell: Cell, around: Cell, lines: Lines) -> tuple[Part, Tensor, Everywhere]:
-        """A rectangle by a lattice alone, which of its pixels may be corrected, and the samples in and around it."""
-        found = lattice.measured(around, keep=True)
+    def _seen(self, at: Geometry, x: Tensor, y: Tensor, values: Sequence[Tensor]) -> Everywhere:
+        """Some planes of a lattice's samples."""
+        channels = self.task.integrand.channels
+        codes = torch.stack(list(values[channels:])) if self.task.followed else None
+        return Everywhere(x, y, 0, at.strip, at.col, torch.stack(list(values[:channels])), codes=codes)
+
+    def _plain(self, lattice: LatticeRound, cell: Cell, around: Cell, look: Look) -> tuple[Part, Tensor]:
+        """A rectangle by a lattice alone, and which of its pixels may be corrected; `look` is shown the samples in and around it."""
+        found, count = lattice.measured(around, look), lattice.strip.count
         top, left = cell.row - around.row, cell.col - around.col
         inner = (..., slice(top, top + cell.height), slice(left, left + cell.width))
         heavy = None if found.heavy is None else found.heavy[inner]
-        assert found.samples is not None
-        channels = self.task.integrand.channels
-        codes = found.samples[channels:] if self.task.followed else None
-        samples = Everywhere(lines.x, lines.y, 0, found.at.strip, found.at.col, found.samples[:channels], codes=codes)
         allowed = self._allowed(cell, found.invalid, inner)
         if heavy is not None:
             allowed &= ~heavy.any(0)
         blind = None if found.blind is None else found.blind[inner]
-        points = torch.full_like(allowed, lines.count + self.audited, dtype=torch.int64)
+        points = torch.full_like(allowed, count + self.audited, dtype=torch.int64)
         model = torch.full_like(allowed, PLAIN, dtype=torch.uint8)
-        part = Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, lines.count, blind)
-        return part, allowed, samples
+        part = Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, count, blind)
+        return part, allowed
 
     def _lattice(self, spp: int, lines: bool) -> LatticeRound:
         if (spp, lines) not in self._lattices:
+            if len(self._lattices) >= _LATTICES:
+                # their weights are as large as a cell's samples
+                self._lattices.pop(next(iter(self._lattices)))
             # the plain one is pooled with the other, so it must be independent
             number = self.number if lines else self.number + _MORE
             audited = self.audited or not lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,6 +24,10 @@ from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
 
 _SHIFT = 0x5F1F7
+_SPLATS = 4
+"""Shapes of cells whose weights are remembered."""
+Look = Callable[[Geometry, slice, Sequence[Tensor]], None]
+"""Shown some planes of samples, each channel (strips, planes, columns); where f is followed the codes of `Task.coded` are one more."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +38,6 @@ class Measured:
         value, variance: (C, h, w); the variance is 0 without `contrast`.
         invalid: (h, w) int32.
         heavy: (C, h, w) bool, where f has no second moment, or None.
-        samples: (C, strips, planes, columns), if they were to be kept; those that were not finite are 0. Where f is followed the codes of
-            `Task.coded` are one channel more.
-        at: where they lie.
         blind: (C, h, w) the part of the variance that is the audit's, or None if it saw nothing.
     """
 
@@ -43,8 +45,6 @@ class Measured:
     variance: Tensor
     invalid: Tensor
     heavy: Tensor | None
-    samples: Tensor | None
-    at: Geometry
     blind: Tensor | None
 
 
@@ -110,25 +110,23 @@ class LatticeRound(Round):
             blind=found.blind,
         )
 
-    def measured(self, cell: Cell, keep: bool = False) -> Measured:
-        """Evaluate f in and around `cell` and weigh the samples, which `keep` keeps."""
+    def measured(self, cell: Cell, look: Look | None = None) -> Measured:
+        """Evaluate f in and around `cell` and weigh the samples, which `look` is shown too: from plane 0 on again where some are not finite."""
         task = self.task
-        if task.compiled and not task.integrand.refused and not keep:
+        if task.compiled and not task.integrand.refused and look is None:
             found = self._by_graph(cell)
             if found is not None:
                 return found
         at = self.weights.geometry(cell)
         splat = self._splat(cell, at)
         poles = Poles(task, cell, self.per_pixel, self.order)
-        kept: list[Tensor] | None = [] if keep else None
-        value, power, extra, left, invalid = self._sums(cell, at, splat, None, poles, kept)
+        value, power, extra, left, invalid = self._sums(cell, at, splat, None, poles, look)
         if invalid is not None:
             # samples that are not finite count as 0; each pixel learns what share of its weights, or of their moduli, is left
             weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
             masks = Splat(weights, cell, at, contrast=False)
             poles = Poles(task, cell, self.per_pixel, self.order)
-            kept = [] if keep else None
-            value, power, extra, left, invalid = self._sums(cell, at, splat, masks, poles, kept)
+            value, power, extra, left, invalid = self._sums(cell, at, splat, masks, poles, look)
         variance = torch.zeros_like(value)
         if power is not None:
             variance = pooled(power).mul_(1 / CHARACTER_RATIO)
@@ -145,7 +143,7 @@ class LatticeRound(Round):
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         blind = extra if extra is not None and bool((extra > 0).any()) else None
-        return Measured(value, variance, invalid, heavy, kept[0] if kept else None, at, blind)
+        return Measured(value, variance, invalid, heavy, blind)
 
     def _by_graph(self, cell: Cell) -> Measured | None:
         """The same by the compiled graph; None if there is none, or f is not finite everywhere."""
@@ -171,7 +169,7 @@ class LatticeRound(Round):
             poles.note(channel, found.norms[channel])
         heavy = poles.heavy(partial(self._row, cell, at))
         invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
-        return Measured(found.value, variance, invalid, heavy, None, at, blind)
+        return Measured(found.value, variance, invalid, heavy, blind)
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
@@ -179,12 +177,14 @@ class LatticeRound(Round):
         if self.task.boundary != "extend":
             return Splat(self.weights, cell, at, self.contrast)
         if key not in self._splats:
+            if len(self._splats) >= _SPLATS:
+                self._splats.pop(next(iter(self._splats)))
             self._splats[key] = Splat(self.weights, cell, at, self.contrast)
         self._splats[key].moved(cell, at)
         return self._splats[key]
 
     def _sums(
-        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None, poles: Poles, kept: list[Tensor] | None
+        self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None, poles: Poles, look: Look | None
     ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
         """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), share of weights left (h, w), and counts.
 
@@ -202,13 +202,13 @@ class LatticeRound(Round):
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
             x = task.screen.x_of(col).to(task.device, asked)
             y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
-            values = (task.integrand if kept is None else task.coded)(x.expand(shape), y)
+            values = (task.integrand if look is None else task.coded)(x.expand(shape), y)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
                 values = [value.masked_fill(bad, 0) for value in values]
             return values, bad
 
-        finite, full = (None, None) if masks is None else (masks.start(0), masks.start(1))
+        finite, full = (None, None) if masks is None else (masks.start(), masks.start())
         for number, batch in enumerate(splat.batches):
             for group, first in enumerate(range(0, batch.count, splat.group)):
                 planes = slice(batch.start + first, batch.start + min(first + splat.group, batch.count))
@@ -224,15 +224,11 @@ class LatticeRound(Round):
                     ones = torch.ones(shape, dtype=task.dtype, device=task.device)
                     masks.weigh(full, masks.batches[number], group, ones)
                     masks.weigh(finite, masks.batches[number], group, ones if bad is None else ones.masked_fill(bad, 0))
-                if kept is not None:
-                    # in place: joined in the end they would be there twice
-                    if not kept:
-                        kept.append(values[0].new_empty(len(values), at.strips, strip.count, at.cols))
-                    for channel, value in enumerate(values):
-                        kept[0][channel, :, planes] = value
+                if look is not None:
+                    look(at, planes, values)
                 for channel, value in enumerate(values[: task.integrand.channels]):
                     if len(sums) <= channel:
-                        sums.append(splat.start(channel))
+                        sums.append(splat.start())
                         held.append({})
                     poles.add(channel, value)
                     splat.weigh(sums[channel], batch, group, value)

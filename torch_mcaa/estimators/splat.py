@@ -43,7 +43,7 @@ class Sums:
 
     plain: Tensor
     signed: Tensor | None
-    buffers: dict[int, list[tuple[Tensor, Tensor | None]]] = field(default_factory=dict)
+    buffers: list[tuple[Tensor, Tensor | None]] = field(default_factory=list)
 
 
 class Splat:
@@ -83,39 +83,32 @@ class Splat:
                 terms.append(_Term(by_group, place(rows), signed))
             self.batches.append(Batch(start, planes.stop - start, terms))
 
-        self._sums: list[Sums] = []
-
     def moved(self, cell: Cell, at: Geometry) -> None:
         """Serve another cell of the same shape and phase."""
         self.cell, self.at = cell, at
 
-    def start(self, channel: int) -> Sums:
-        """Empty sums for one channel of a cell; they are this object's own and hold until the next cell starts."""
-        while len(self._sums) <= channel:
-            self._sums.append(self._new())
-        sums = self._sums[channel]
-        sums.plain.zero_()
-        if sums.signed is not None:
-            sums.signed.zero_()
-        return sums
-
-    def _new(self) -> Sums:
+    def start(self) -> Sums:
+        """Empty sums for one channel of a cell."""
         term, blocks, width = self.batches[0].terms[0], self.at.blocks, self.cell.width
         new = term.matrix.new_zeros
-        sums = Sums(
+        return Sums(
             new(blocks, term.matrix.shape[1], width), None if term.signed is None else new(blocks, term.signed.shape[1], width)
         )
-        strips = (blocks - 1) * self.block_strips + self.at.depth
-        # strips without samples stay 0; the last batch, which may have fewer planes, has buffers of its own
-        for count in {batch.count for batch in self.batches}:
-            shape = (strips, count, width)
-            sums.buffers[count] = [(new(shape), new(shape) if self.contrast else None) for _ in self.batches[0].terms]
-        return sums
+
+    def _buffers(self, sums: Sums, batch: Batch) -> list[tuple[Tensor, Tensor | None]]:
+        """For the weighed samples of a batch, by term; strips without samples stay 0."""
+        # the last batch may have fewer planes
+        if not sums.buffers or sums.buffers[0][0].shape[1] != batch.count:
+            sums.buffers.clear()
+            shape = (self.at.blocks - 1) * self.block_strips + self.at.depth, batch.count, self.cell.width
+            new = batch.terms[0].matrix.new_zeros
+            sums.buffers += [(new(shape), new(shape) if self.contrast else None) for _ in batch.terms]
+        return sums.buffers
 
     def weigh(self, sums: Sums, batch: Batch, group: int, samples: Tensor) -> None:
         """Weigh the samples (strips, planes, cols) of a batch's group along x."""
         planes = slice(group * self.group, group * self.group + samples.shape[1])
-        for term, (plain, signed) in zip(batch.terms, sums.buffers[batch.count], strict=True):
+        for term, (plain, signed) in zip(batch.terms, self._buffers(sums, batch), strict=True):
             taps, out = term.taps[group], plain[self.at.lead : self.at.lead + self.at.strips, planes]
             if signed is None:
                 self._along_x(samples, taps, range(-self.reach, self.reach + 1), out)
@@ -129,7 +122,7 @@ class Splat:
 
     def add(self, sums: Sums, batch: Batch) -> None:
         """Add a weighed batch to the sums along y."""
-        for term, (plain, signed) in zip(batch.terms, sums.buffers[batch.count], strict=True):
+        for term, (plain, signed) in zip(batch.terms, self._buffers(sums, batch), strict=True):
             sums.plain.baddbmm_(term.matrix.expand(self.at.blocks, -1, -1), self._by_block(plain))
             if signed is not None and term.signed is not None and sums.signed is not None:
                 sums.signed.baddbmm_(term.signed.expand(self.at.blocks, -1, -1), self._by_block(signed))

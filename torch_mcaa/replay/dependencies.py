@@ -44,7 +44,7 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
     """Find what f depends on at some points.
 
     Raises:
-        McaaError: f uses a tensor that was computed from others outside it, in a way that cannot be seen.
+        McaaError: f uses a tensor that was computed from others outside it, in a way that cannot be seen, or one of another device.
     """
     runs: list[_Noting] = []
     graphs: list[Sequence[Tensor]] = []
@@ -52,7 +52,16 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
     with enable_grad(), saved_tensors_hooks(Tensor.detach, lambda kept: kept):
         for _ in range(2):
             runs.append(_Noting())
-            graphs.append(replace(integrand, function=runs[-1].during(integrand.function))(x, y))
+            try:
+                graphs.append(replace(integrand, function=runs[-1].during(integrand.function))(x, y))
+            except McaaError as error:
+                for tensor in runs[-1].noted.values():
+                    if tensor.device != x.device:
+                        raise McaaError(
+                            f"the layer's pictures are on {x.device}, and f uses a tensor of shape {tuple(tensor.shape)} on "
+                            f"{tensor.device}; move one by layer.to() or tensor.to()"
+                        ) from error
+                raise
     outside = {key: tensor for key, tensor in runs[0].noted.items() if key in runs[1].noted}
     (nodes, leaves), (others, others_leaves) = (_walk(values, outside.values()) for values in graphs)
     hidden = {node for node in nodes & others if not _is_leaf(node)}

@@ -53,6 +53,13 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
     # a texture's values do not jump as its texels change, and its transform, if it is not one of its tensors here, is in `moved`
     if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
         program = _program(task)
+    elif not found.tensors and discontinuities and not isinstance(f, Texture) and (hidden := _hidden(task)):
+        warnings.warn(
+            f"{hidden}; f uses no tensor that requires a gradient where that can be seen, and the picture gets no gradient from what it "
+            "uses there: write it in PyTorch, or say by torch.no_grad() that none is wanted",
+            McaaWarning,
+            stacklevel=5,
+        )
     elif found.severed:
         warnings.warn(
             f"f turns a tensor that requires a gradient into a number by {', '.join(sorted(found.severed))}, and no gradient passes there; "
@@ -86,6 +93,14 @@ def followed(task: Task, function: Function) -> Function:
 def _probed(task: Task, function: Function) -> Program:
     with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
         return probe(function, task.screen, task.dtype, task.device)
+
+
+def _hidden(task: Task) -> str:
+    """What the trace cannot follow of an f without tensors that require a gradient; empty if it can follow all."""
+    try:
+        return next(iter(_probed(task, task.integrand.function).problems), "")
+    except McaaError:
+        return ""
 
 
 def _program(task: Task) -> Program | None:

@@ -22,7 +22,7 @@ from torch_mcaa.integrand import Function
 from torch_mcaa.traced.asked import AT_ONCE, Asked, Tally
 from torch_mcaa.traced.once import zero_with_gradient
 from torch_mcaa.traced.program import Program, probe
-from torch_mcaa.traced.refine import Changes, refine
+from torch_mcaa.traced.refine import Changes, chosen, refined
 from torch_mcaa.traced.scan import scan, share
 from torch_mcaa.traced.visitors import Margins
 
@@ -33,6 +33,8 @@ _FLAT = 1e-12
 _FEWEST = 256
 """At least so many segments, and four a pixel, are followed."""
 _SEVERAL, _PART = 8, 0.05
+_SOME = 1 << 13
+"""Segments that are followed together."""
 _FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
 _LEAP = "decides by something that jumps there, before any decision that the trace saw"
 
@@ -113,8 +115,11 @@ def elements(
     cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
     most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
-    changes = refine(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
-    col, row, jump, weight, cause, branch, at, flat, leap, rival = _weighed(changes, lines)
+    found = chosen(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
+    # what is known of a change while it is looked for is five times as much as of an element
+    parts = [_weighed(refined(asked, part, most, seed), lines) for part in found.by_lines(_SOME)]
+    jump, at = (torch.cat([part[k] for part in parts], 1) for k in (2, 6))
+    col, row, weight, cause, branch, flat, leap, rival = (torch.cat([part[k] for part in parts]) for k in (0, 1, 3, 4, 5, 7, 8, 9))
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
     if not fixed:

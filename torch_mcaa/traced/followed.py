@@ -41,4 +41,6 @@ class Followed:
         returned = traced(x, y)
         if traced.changed is not None:
             raise changed_program(traced.changed)
-        return (*as_channels(returned, x), seen.signatures(len(x)) >> 40 & CODES - 1)
+        # in place: they are nobody else's
+        codes = seen.signatures(len(x)).bitwise_right_shift_(40).bitwise_and_(CODES - 1)
+        return (*as_channels(returned, x), codes)

@@ -81,23 +81,17 @@ class Changes:
         )
 
 
-def refine(asked: Asked, found: Segments, most: int, seed: int) -> Changes:
-    """All changes in segments between whose ends the signatures differ.
-
-    The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
-    foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
-    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more segments than `most`, and of more than
-    a quarter of that at once, as where f is noise, so many are kept at random, and count for the others.
-    """
+def chosen(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
+    """The segments that are to be `refined`: those that are worth it and, of more than `most`, so many at random, which count for the others."""
     found = _worthwhile(asked, found, most, seed)
-    if len(found.cause) > most:
-        found = found.take(torch.argsort(found.brackets.numbers(seed), stable=True)[:most], most / len(found.cause))
-    return _refined(asked, found, most, seed)
+    if len(found.cause) <= most:
+        return found
+    return found.take(torch.argsort(found.brackets.numbers(seed), stable=True)[:most], most / len(found.cause))
 
 
 def located(asked: Asked, found: Segments, seed: int) -> Changes:
     """All changes in all the segments, without the margins' derivatives."""
-    return _refined(asked, found, 1 << 62, seed, sloped=False)
+    return refined(asked, found, 1 << 62, seed, sloped=False)
 
 
 def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
@@ -115,7 +109,7 @@ def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments
     tried = found.take(torch.cat([order[group[order] == k][:_TRIED] for k in frequent]))
     groups = torch.tensor(frequent, device=asked.device).repeat_interleave(_TRIED)
     tried = replace(tried, brackets=replace(tried.brackets, group=groups))
-    changes = _refined(asked, tried, most, seed)
+    changes = refined(asked, tried, most, seed)
     jump, size = (torch.zeros(len(patterns), dtype=torch.float64, device=asked.device) for _ in range(2))
     jump.scatter_reduce_(0, changes.brackets.group, (changes.values[:, 1] - changes.values[:, 0]).abs().amax(0), "amax")
     size.scatter_reduce_(0, groups, tried.change, "amax")
@@ -128,8 +122,14 @@ def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments
     return found.take(kept, chance[group][kept])
 
 
-def _refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = True) -> Changes:
-    """All changes in the segments; the margins' derivatives only if `sloped`."""
+def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = True) -> Changes:
+    """All changes in segments between whose ends the signatures differ; the margins' derivatives only if `sloped`.
+
+    The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
+    foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
+    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than a quarter of `most` at once, as
+    where f is noise, so many are kept at random, and count for the others.
+    """
     segments = found.brackets
     first = _straight(segments, found.margin)
     signature, margin = _at(asked, found, first)

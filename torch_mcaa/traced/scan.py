@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -107,6 +108,14 @@ class Segments:
             self.margin[:, index],
             self.change[index],
         )
+
+    def by_lines(self, most: int) -> Iterator[Segments]:
+        """All the segments of some lines after those of others, about `most` at a time; at least once."""
+        order = torch.argsort(self.brackets.line, stable=True)
+        line = self.brackets.line[order]
+        starts = torch.searchsorted(line, line[::most].contiguous()).unique().tolist()
+        for first, last in zip(starts or [0], [*starts[1:], len(line)], strict=True):
+            yield self.take(order[first:last])
 
 
 def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int, seed: int, closed: bool) -> Segments:
