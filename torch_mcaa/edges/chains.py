@@ -42,7 +42,7 @@ class _Order:
 
     @classmethod
     def of(cls, line: Tensor, place: Tensor) -> _Order:
-        keys, order = torch.sort(place_of(line, place))
+        keys, order = torch.sort(place_of(line, place), stable=True)
         return cls(keys, order)
 
     def nearest(self, line: Tensor, place: Tensor, within: float | Tensor) -> Tensor:
@@ -67,7 +67,7 @@ def linked(crossings: Crossings, grid: Numbered, direction: int) -> Tensor:
 
 def _alone(crossings: Crossings, grid: Numbered) -> Tensor:
     """(N,) which have no other close by on their line: the parts of a steep step and the sides of a thin piece are no edges of their own."""
-    keys, order = torch.sort(place_of(grid.number(crossings.across), crossings.place))
+    keys, order = torch.sort(place_of(grid.number(crossings.across), crossings.place), stable=True)
     apart = keys[1:] - keys[:-1] > _PART
     alone = torch.ones_like(crossings.place, dtype=torch.bool)
     alone[order[1:]] &= apart
@@ -82,7 +82,7 @@ def _alike(one: Tensor, other: Tensor) -> Tensor:
 
 def _first(line: Tensor, place: Tensor, some: Tensor, within: float) -> Tensor:
     """(N,) whether no other of `some` places lies just before on the same line."""
-    keys, order = torch.sort(torch.where(some, place_of(line, place), torch.inf))
+    keys, order = torch.sort(torch.where(some, place_of(line, place), torch.inf), stable=True)
     first = torch.ones_like(some)
     first[order[1:]] = keys[1:] - keys[:-1] > within
     return first
