@@ -46,6 +46,12 @@ def blob(std: float) -> Function:
     return lambda x, y: (-((x - 15).square() + (y - 14).square()) / (2 * std * std)).exp()
 
 
+def patterns(first: tuple[float, float], second: tuple[float, float]) -> Function:
+    """Two tones, in cycles a pixel, and a level between them, that meet at an edge."""
+    tones = [lambda x, y, u=u, v=v: 0.5 * (2 * math.pi * (u * x + v * y)).cos() for u, v in (first, second)]
+    return lambda x, y: torch.where(oblique(x, y) > 0, tones[0](x, y) + 1, tones[1](x, y))
+
+
 CASES: dict[str, tuple[Function, Verdict]] = {
     "constant": (lambda x, y: torch.full_like(x, 0.3), Verdict.NONE),
     "waves": (lambda x, y: (x / 3).sin() + (y / 4).cos(), Verdict.NONE),
@@ -61,6 +67,8 @@ CASES: dict[str, tuple[Function, Verdict]] = {
     "edge on a ramp": (lambda x, y: x / 10 + 2 * step(oblique(x, y) > 0), Verdict.JUMPS),
     "disc": (lambda x, y: step((x - 15).square() + (y - 14).square() < 50), Verdict.JUMPS),
     "checkerboard": (lambda x, y: step(((x / 3).floor() + (y / 3).floor()) % 2 > 0), Verdict.JUMPS),
+    "edge between slow patterns": (patterns((0.02, 0.01), (-0.01, 0.03)), Verdict.JUMPS),
+    "edge between fast patterns": (patterns((0.45, 0.2), (-0.2, 0.35)), Verdict.CONTINUOUS),
     "hairline": (lambda x, y: step(oblique(x, y).abs() < 0.2), Verdict.JUMPS),
     "sigmoid of 0.01 px": (lambda x, y: torch.sigmoid(oblique(x, y) / 0.01), Verdict.JUMPS),
 }

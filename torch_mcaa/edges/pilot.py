@@ -22,7 +22,7 @@ _SIDES = 5
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
 _FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
-_BROKEN, _TESTED, _PEAKED = 0.25, 10, 0.22
+_BROKEN, _TESTED, _PEAKED, _MOSTLY = 0.25, 10, 0.22, 0.75
 _NEAR, _OFF = 1 / 8, 1 / 4
 """Px: how far from a jump it is looked at whether it is an edge."""
 
@@ -66,6 +66,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     More than 25 % of the jumps, of 10 or more, that are no edge: detail on every scale, of which bisection finds one jump of many. Where an
     edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction; about a
     thin piece's they may both have the one outside it.
+    Along the axis that shows most of them at least three quarters of the candidates have to change in a few places: where f changes between samples
+    as much as it jumps, those that stand out are few of an edge's, and samples do as well.
     And f is continuous where single samples that stick out without a jump change it by over 22 % of what jumps do.
 
     Args:
@@ -77,7 +79,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     )
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
-    tested, more, less = (torch.zeros_like(tried) for _ in range(3))
+    tested, more, less, shown, held = (torch.zeros_like(tried) for _ in range(5))
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
     if any(len(look.where) for look in looks):
         bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
@@ -90,6 +92,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             where = look.where
             edge = look.sharp(crossings)
             tested += torch.bincount(where[edge], minlength=parts)
+            shown, held = (torch.maximum(*pair) for pair in zip((shown, held), look.held(crossings, parts), strict=True))
             bent = look.bent(one, other)
             for way, total in ((1, more), (-1, less)):
                 total += torch.bincount(where[edge & (bent == way)], minlength=parts)
@@ -112,7 +115,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     # both outside of a thin piece have always less, or always more
     broken = 2 * torch.minimum(more, less)
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
-    verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped)] = Verdict.CONTINUOUS
+    verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _MOSTLY * shown)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
     return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
 
@@ -155,6 +158,13 @@ class _Look:
         return torch.cat([self.place, self.beside, middle + along, middle - along]), torch.cat(
             [some.across, some.across, some.across + across, some.across - across]
         )
+
+    def held(self, crossings: Crossings, parts: int) -> tuple[Tensor, Tensor]:
+        """(parts,) the number of segments, but for those of thin pieces, and how many of them change in a few places."""
+        has = torch.zeros_like(self.some.single)
+        has[crossings.segment] = True
+        whole = ~self.some.single
+        return torch.bincount(self.where[whole], minlength=parts), torch.bincount(self.where[whole & has], minlength=parts)
 
     def sharp(self, crossings: Crossings) -> Tensor:
         """Which segments, but for those of thin pieces, hold one jump of over half their change."""

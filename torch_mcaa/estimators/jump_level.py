@@ -12,16 +12,18 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, joined, placed
 from torch_mcaa.edges.candidates import Finder, Segments, without
 from torch_mcaa.edges.candidates import joined as together
+from torch_mcaa.edges.chains import between, continued
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
-from torch_mcaa.edges.foretell import foretold, narrowed_all
+from torch_mcaa.edges.foretell import narrowed_all
 from torch_mcaa.edges.lines import Lines, norm, scattered, summed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, told
+from torch_mcaa.estimators.blocks import BLOCK, by_pixel, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
+from torch_mcaa.estimators.regular import regular
 from torch_mcaa.estimators.sides import sides
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -34,8 +36,6 @@ _FIRST = 0.45
 _TIMES, _WALK = 4.0, 0.1
 """What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
 on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
-_SEEN, _FORETOLD, _PARTS = 48, 0.75, 2
-"""Segments of a block from which on it is lost if a smaller share is foretold; unless segments have as many parts."""
 _THIN = 2.0**-12
 """Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
 _PREFERRED = 1.15
@@ -72,7 +72,7 @@ class Level:
     Attributes:
         value: `plain` the weighted mean of its samples alone; `spread` the variance of its brackets.
         near: bool, the pixels whose filter reaches a crossing; `core` those where it weighs much.
-        crossings: along either axis.
+        crossings: along either axis, on the `lines`.
         axes: what they count for; for another shift, one axis alone where thin pieces are.
     """
 
@@ -83,6 +83,7 @@ class Level:
     near: Tensor
     core: Tensor
     crossings: list[Crossings]
+    lines: Lines
     axes: Axes
 
 
@@ -165,7 +166,7 @@ class Leveller:
             found = [told(self.cell, without(s, self.smooth), self.deciding) for s in found]
         if known is None:
             return self._level(lines, found, self.axes(found)[0], wanted, pixels, plain)
-        return self._level(lines, found, known.axes, wanted, pixels, plain, known.crossings)
+        return self._level(lines, found, known.axes, wanted, pixels, plain, known)
 
     def first(self, lines: Lines, found: list[Segments], axes: Axes, wanted: Tensor) -> Level:
         """The lattice that was sampled everywhere, in the pixels `wanted` (h, w) that a crossing reaches."""
@@ -179,7 +180,7 @@ class Leveller:
         wanted: Tensor,
         pixels: Pixels | None = None,
         plain: Tensor | None = None,
-        known: list[Crossings] | None = None,
+        known: Level | None = None,
     ) -> Level:
         """Bisect the candidates of the axis that each pixel takes, and add what they miss."""
         window, seed = self.window, self.seed + lines.number
@@ -189,6 +190,8 @@ class Leveller:
         bisected = self._bisected(taken, lines, known, seed)
         walk = _WALK * (before - self.ask.left)
         every = [self._completed(c, lines, here, seed, most, walk) for c, here in zip(bisected, used, strict=True)]
+        if self.ask.task.followed is None:
+            every = [self._continued(c, lines, here, seed, most) for c, here in zip(every, used, strict=True)]
         if pixels is None or plain is None:
             pixels = self.pixels(self.reached([(c.place, c.across) for c in every]) & wanted)
             plain = self.plain[:, pixels.rows, pixels.cols]
@@ -214,7 +217,7 @@ class Leveller:
             for _ in range(4):
                 densities = tuple(pixels.summed(d) for d in densities)
             share = torch.where(alike, (_PREFERRED * densities[0] >= densities[1]).to(share), share)
-        return Level(pixels, value, plain, spread, near, core, every, Axes(pixels, share, torch.zeros_like(near)))
+        return Level(pixels, value, plain, spread, near, core, every, lines, Axes(pixels, share, torch.zeros_like(near)))
 
     def _completed(self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float, walk: float) -> Crossings:
         """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left, or goes astray."""
@@ -240,7 +243,16 @@ class Leveller:
         self.lost |= by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
         return without
 
-    def _bisected(self, segments: list[Segments], lines: Lines, known: list[Crossings] | None, seed: int) -> list[Crossings]:
+    def _continued(self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float) -> Crossings:
+        """The crossings with those of their edges that do not stand out, as far as a share of what is left pays for them."""
+        origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
+        try:
+            with self.ask.keeping(1 - share):
+                return continued(self.ask, crossings, lines, self._widened(used & ~self.lost), origin, self.finest, seed)
+        except Spent:
+            return crossings
+
+    def _bisected(self, segments: list[Segments], lines: Lines, known: Level | None, seed: int) -> list[Crossings]:
         """The crossings of the segments along either axis; without any known, every second line foretells the others."""
         if any(bool((s.decided > 0).any()) for s in segments):
             from torch_mcaa.estimators.decided import crossings
@@ -251,34 +263,22 @@ class Leveller:
             return [joined([a, b]) for a, b in zip(told, found, strict=True)]
         apart = 2.5 / lines.count
         if known is not None:
-            return bisect_all(self.ask, narrowed_all(self.ask, segments, known, apart, seed), self.finest, seed)
+            short = narrowed_all(self.ask, segments, known.crossings, apart, seed)
+            if self.ask.task.followed is None:
+                more = [between(self.ask, c, known.lines, lines, s, seed) for c, s in zip(known.crossings, segments, strict=True)]
+                short = [together([s, m]) for s, m in zip(short, more, strict=True)]
+            return bisect_all(self.ask, short, self.finest, seed)
         odd = [
             torch.argsort(torch.argsort(across))[s.key[:, 0]] % 2 == 1
             for s, across in zip(segments, (lines.y, lines.x), strict=True)
         ]
-        first = bisect_all(self.ask, [s.take(~o) for s, o in zip(segments, odd, strict=True)], self.finest, seed)
-        even = self._regular([s.take(o) for s, o in zip(segments, odd, strict=True)], first, apart)
+        others = [s.take(~o) for s, o in zip(segments, odd, strict=True)]
+        first = bisect_all(self.ask, others, self.finest, seed)
+        even, lost = regular(self.cell, [s.take(o) for s, o in zip(segments, odd, strict=True)], others, first, apart)
+        self.lost |= lost
         rest = narrowed_all(self.ask, even, first, apart, seed)
         second = bisect_all(self.ask, rest, self.finest, seed)
         return [joined([a, b]) for a, b in zip(first, second, strict=True)]
-
-    def _regular(self, segments: list[Segments], known: list[Crossings], apart: float) -> list[Segments]:
-        """The segments of the blocks in which the other lines foretell enough of them; the others are lost.
-
-        Thin pieces, and steps of which bisection finds many parts, are not foretold and say nothing.
-        """
-        size = -(-self.cell.height // BLOCK), -(-self.cell.width // BLOCK)
-        where = [blocks_of(self.cell, s) for s in segments]
-        right, every = (torch.zeros(size[0] * size[1], dtype=torch.int64, device=self.lost.device) for _ in range(2))
-        for some, crossings, block in zip(segments, known, where, strict=True):
-            if len(crossings) < _PARTS * (int(crossings.segment.max()) + 1 if len(crossings) else 0):
-                every += torch.bincount(block[~some.single], minlength=len(every))
-                right += torch.bincount(block[~some.single & foretold(some, crossings, apart)], minlength=len(every))
-        lost = (every >= _SEEN) & (right < _FORETOLD * every)
-        if not bool(lost.any()):
-            return segments
-        self.lost |= by_pixel(lost.view(size), self.cell)
-        return [s.take(~lost[block]) for s, block in zip(segments, where, strict=True)]
 
     def reaching(self, segments: Segments, wanted: Tensor) -> Tensor:
         """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""

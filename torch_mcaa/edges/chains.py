@@ -1,0 +1,246 @@
+"""Edges from line to line: their crossings where no difference of samples stands out, f changing as much as it jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
+from torch_mcaa.edges.candidates import Segments, threshold
+from torch_mcaa.edges.lines import Ask, Lines
+from torch_mcaa.edges.pieces import SHORT, Numbered, pieces_of, place_of
+
+_STREAM = 0xC4A1
+_STEEPEST = 1.7
+"""Px a px: edges that change their place faster from line to line are for the lines along the other axis."""
+_ALIKE = 0.5
+"""How much a jump may change from line to line, in parts of the larger."""
+_WITHIN = 2.0**-8
+_WIDER = 16
+"""Px, and so many times that: the parts in which an edge is looked for about the place that the last lines foretell."""
+_CLEAR = 3.0
+"""A part that changes so many times as much as the two others holds the edge."""
+_FADED = 2
+"""Lines on which an edge may not be found, its jump passing through 0, before it is given up."""
+_PART = 1 / 16
+"""Px."""
+_LINES = 400
+_NEAR = 2.0**-6
+_TWICE = 5e-4
+"""Px: crossings closer than this are one that was found twice."""
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Crossings by line and place."""
+
+    keys: Tensor
+    order: Tensor
+
+    @classmethod
+    def of(cls, line: Tensor, place: Tensor) -> _Order:
+        keys, order = torch.sort(place_of(line, place), stable=True)
+        return cls(keys, order)
+
+    def nearest(self, line: Tensor, place: Tensor, within: float | Tensor) -> Tensor:
+        """(N,) the index of the crossing nearest to each place on a line, -1 where there is none so near."""
+        target = place_of(line, place)
+        after = torch.searchsorted(self.keys, target)
+        best, distance = torch.full_like(line, -1), torch.zeros_like(place) + within
+        for at in (after - 1, after):
+            index = at.clamp(0, len(self.keys) - 1)
+            off = (self.keys[index] - target).abs()
+            closer = off <= distance
+            best, distance = torch.where(closer, self.order[index], best), torch.where(closer, off, distance)
+        return best
+
+
+def linked(crossings: Crossings, grid: Numbered, direction: int) -> Tensor:
+    """(N,) the crossing of the same edge on the next line in a direction, or -1."""
+    line, alone = grid.number(crossings.across), _alone(crossings, grid)
+    other = _Order.of(line, crossings.place).nearest(line + direction, crossings.place, _STEEPEST / grid.count)
+    return torch.where(alone & alone[other] & _alike(crossings.jump, crossings.jump[:, other]), other, -1)
+
+
+def _alone(crossings: Crossings, grid: Numbered) -> Tensor:
+    """(N,) which have no other close by on their line: the parts of a steep step and the sides of a thin piece are no edges of their own."""
+    keys, order = torch.sort(place_of(grid.number(crossings.across), crossings.place), stable=True)
+    apart = keys[1:] - keys[:-1] > _PART
+    alone = torch.ones_like(crossings.place, dtype=torch.bool)
+    alone[order[1:]] &= apart
+    alone[order[:-1]] &= apart
+    return alone
+
+
+def _alike(one: Tensor, other: Tensor) -> Tensor:
+    """(N,) whether jumps (C, N) may be those of one edge."""
+    return (one - other).abs().amax(0) <= _ALIKE * torch.maximum(one.abs(), other.abs()).amax(0)
+
+
+def _first(line: Tensor, place: Tensor, some: Tensor, within: float) -> Tensor:
+    """(N,) whether no other of `some` places lies just before on the same line."""
+    keys, order = torch.sort(torch.where(some, place_of(line, place), torch.inf), stable=True)
+    first = torch.ones_like(some)
+    first[order[1:]] = keys[1:] - keys[:-1] > within
+    return first
+
+
+def continued(
+    ask: Ask, crossings: Crossings, lines: Lines, wanted: Tensor, origin: tuple[int, int], finest: float, seed: int
+) -> Crossings:
+    """The crossings with those of their edges on the lines beyond, as far as these can be followed.
+
+    wanted: bool (R, Q), the pixels from `origin` (row, col) inside which edges are followed.
+    """
+    grid = Numbered(lines, crossings.axis)
+    for direction in (1, -1):
+        if len(crossings) < 2:
+            break
+        crossings = joined([crossings, *_followed(ask, crossings, grid, direction, wanted, origin, finest, seed)])
+    return crossings
+
+
+def _followed(
+    ask: Ask, known: Crossings, grid: Numbered, direction: int, wanted: Tensor, origin: tuple[int, int], finest: float, seed: int
+) -> list[Crossings]:
+    """The crossings beyond the last ones of edges, towards higher (+1) or lower (-1) lines."""
+    numbers = grid.number(known.across)
+    order = _Order.of(numbers, known.place)
+    behind = linked(known, grid, -direction)
+    ahead = linked(known, grid, direction)
+    last = (ahead < 0) & (behind >= 0)
+    # thin pieces are followed as such
+    pieces, ends = pieces_of(known, grid)
+    one, two = known.jump[:, ends[:, 0]], known.jump[:, ends[:, 1]]
+    back = (one + two).abs().amax(0) <= _ALIKE * torch.maximum(one.abs().amax(0), two.abs().amax(0))
+    last[ends[back & (pieces.width < SHORT)].flatten()] = False
+    index = last.nonzero()[:, 0]
+    line, place = numbers[index], known.place[index]
+    slope, gone, jump = place - known.place[behind[index]], torch.ones_like(line), known.jump[:, index]
+    found: list[Crossings] = []
+    within = max(_WITHIN, 2 * finest)
+    for _ in range(_LINES):
+        target, across = place + slope * gone, grid.across(line + direction * gone)
+        row, col = (across, target) if known.axis == 0 else (target, across)
+        row, col = row.floor().long() - origin[0], col.floor().long() - origin[1]
+        go = (row >= 0) & (row < wanted.shape[0]) & (col >= 0) & (col < wanted.shape[1])
+        go &= wanted[row.clamp(0, wanted.shape[0] - 1), col.clamp(0, wanted.shape[1] - 1)]
+        here = order.nearest(line + direction * gone, target, _NEAR)
+        go &= ((here < 0) | (ahead[here] < 0)) & (slope.abs() * grid.count < _STEEPEST)
+        line, place, slope, gone, target, across, jump, here = (
+            t[..., go] for t in (line, place, slope, gone, target, across, jump, here)
+        )
+        if len(line) == 0:
+            break
+        there = here >= 0
+        if bool(there.any()):
+            # a crossing that stood out alone: the edge goes on beyond it
+            slope = torch.where(there, (known.place[here] - place) / gone, slope)
+            place, jump = torch.where(there, known.place[here], place), torch.where(there, known.jump[:, here], jump)
+            line, gone = torch.where(there, line + direction * gone, line), torch.where(there, 1, gone)
+            continue
+        met, got = _met(ask, known, grid, across, target, within, finest, seed)
+        met &= _alike(jump, got.jump)
+        moved = torch.where(met, got.place - place, 0)
+        new = met & (order.nearest(line + direction * gone, got.place, _TWICE + finest) < 0)
+        new &= _first(line + direction * gone, got.place, new, _TWICE + finest)
+        found.append(got.take(new))
+        jump = torch.where(met, got.jump, jump)
+        slope = torch.where(met, moved / gone, slope)
+        place, line = torch.where(met, got.place, place), torch.where(met, line + direction * gone, line)
+        gone = torch.where(met, 1, gone + 1)
+        on = new | (~met & (gone <= 1 + _FADED))
+        line, place, slope, gone, jump = (t[..., on] for t in (line, place, slope, gone, jump))
+    return found
+
+
+def _met(
+    ask: Ask, like: Crossings, grid: Numbered, across: Tensor, target: Tensor, within: float, finest: float, seed: int
+) -> tuple[Tensor, Crossings]:
+    """Which edges were met (N,) about places on lines, and the crossings of all, those that were not met anything."""
+    lines = grid.number(across)
+    shape = _shape(like.axis, lines, target, seed)
+    low, high = (torch.zeros_like(target) for _ in range(2))
+    before, after = (like.before.new_zeros(len(like.before), len(target)) for _ in range(2))
+    clear = torch.zeros_like(target, dtype=torch.bool)
+    for width in (within, _WIDER * within):
+        left = (~clear).nonzero()[:, 0]
+        if len(left) == 0:
+            break
+        sides = torch.tensor([-3.0, -1.0, 1.0, 3.0], dtype=target.dtype, device=target.device)[:, None]
+        places = target[left] + width * sides * torch.where(sides < 0, shape[left], 1)
+        values = ask_on(ask, like.axis, places.flatten(), across[left].repeat(4)).unflatten(1, places.shape)
+        change = (values[:, 1:] - values[:, :-1]).abs().amax(0)
+        sizes, part = change.sort(0, descending=True)
+        part, some = (
+            part[0],
+            (sizes[0] > _CLEAR * sizes[1]) & (sizes[0] > 64 * torch.finfo(values.dtype).eps * values.abs().amax((0, 1))),
+        )
+        at, where, part = left[some], some.nonzero()[:, 0], part[some]
+        clear[at] = True
+        low[at], high[at] = places[part, where], places[part + 1, where]
+        before[:, at], after[:, at] = values[:, part, where], values[:, part + 1, where]
+    segments = segments_of(like.axis, across, low, high, before, after, grid.phase(lines), lines)
+    index = clear.nonzero()[:, 0]
+    got = bisect(ask, segments.take(index), finest, seed)
+    single = torch.bincount(got.segment, minlength=len(index)) == 1
+    got = got.take(single[got.segment])
+    met = torch.zeros_like(clear)
+    met[index[got.segment]] = True
+    # one for each, in the place where it was asked
+    place, width = target.clone(), torch.zeros_like(target)
+    place[index[got.segment]], width[index[got.segment]] = got.place, got.width
+    before[:, index[got.segment]], after[:, index[got.segment]] = got.before, got.after
+    return met, Crossings(like.axis, across, place, width, before, after, segments.phase, torch.zeros_like(lines))
+
+
+def _shape(axis: int, line: Tensor, place: Tensor, seed: int) -> Tensor:
+    """How far brackets go to the left: no two alike, or the middles of the last ones would all err alike."""
+    return 1 + 0.25 * rng.uniform(seed, _STREAM, axis, line, (place * 2**20).long()).to(torch.float64)
+
+
+def segments_of(
+    axis: int, across: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor, phase: Tensor, line: Tensor
+) -> Segments:
+    """Brackets about places that are foretold."""
+    none = torch.zeros_like(line)
+    key = torch.stack([line, (low * 2**20).long(), none], 1)
+    return Segments(
+        axis, across, low, high, before, after, threshold(after - before), phase, key, none > 0, none, torch.zeros_like(low)
+    )
+
+
+def between(ask: Ask, known: Crossings, old: Lines, lines: Lines, found: Segments, seed: int) -> Segments:
+    """Brackets on `lines` about places that edges foretell whose crossings on the `old` ones are `known`.
+
+    But for those in segments already `found`. Two evaluations for each.
+    """
+    across, place, number = _told(known, Numbered(old, known.axis), Numbered(lines, known.axis))
+    if len(found) and len(place):
+        grid = Numbered(lines, known.axis)
+        taken = _Order.of(grid.number(found.across), (found.low + found.high) / 2).nearest(number, place, 0.5 + _WITHIN)
+        across, place, number = across[taken < 0], place[taken < 0], number[taken < 0]
+    low = place - _WITHIN / 2 * _shape(known.axis, number, place, seed)
+    high = place + _WITHIN / 2
+    values = ask_on(ask, known.axis, torch.cat([low, high]), across.repeat(2)) if len(place) else found.before[:, :0]
+    before, after = values.split(len(place), 1) if len(place) else (values, values)
+    return segments_of(known.axis, across, low, high, before, after, Numbered(lines, known.axis).phase(number), number)
+
+
+def _told(known: Crossings, old: Numbered, new: Numbered) -> tuple[Tensor, Tensor, Tensor]:
+    """The lines between two old ones that an edge crosses, the places on them where it does, and their numbers."""
+    if len(known) == 0:
+        return known.across, known.place, known.segment
+    other = linked(known, old, 1)
+    start = (other >= 0).nonzero()[:, 0]
+    stop = other[start]
+    first, height = known.across[start], known.across[stop] - known.across[start]
+    nearest = ((first - new.across(torch.zeros_like(start))) * new.count).ceil().long()
+    number = nearest + torch.arange(-(-new.count // old.count) + 1, device=first.device)[:, None]
+    share = (new.across(number) - first) / height
+    place = torch.lerp(known.place[start].expand_as(share), known.place[stop].expand_as(share), share)
+    inside = (share >= 0) & (share < 1)
+    return new.across(number)[inside], place[inside], number[inside]
