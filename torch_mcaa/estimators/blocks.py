@@ -45,6 +45,6 @@ def blocks_in(cell: Cell, part: Cell) -> Tensor:
 
 
 def by_pixel(by_block: Tensor, cell: Cell) -> Tensor:
-    """(h, w): what each pixel's block (rows, cols) of the cell has."""
-    plane = by_block.repeat_interleave(BLOCK, 0).repeat_interleave(BLOCK, 1)
-    return plane[: cell.height, : cell.width]
+    """(..., h, w): what each pixel's block (..., rows, cols) of the cell has."""
+    plane = by_block.repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+    return plane[..., : cell.height, : cell.width]

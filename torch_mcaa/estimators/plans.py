@@ -55,8 +55,9 @@ def plans_of(
     plain: bool,
     second: int,
     ample: int = 0,
+    done: Tensor | None = None,
 ) -> list[Plan]:
-    """The rectangles of a cell, each with as many lines as `budget` evaluations in all are expected to pay for.
+    """The rectangles of a cell, but for the blocks that are `done`, each with as many lines as `budget` evaluations are expected to pay for.
 
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
     `ample` evaluations a pixel if they need them for three lines.
@@ -74,7 +75,7 @@ def plans_of(
             break
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
-    labels = [int(count) for count in lines]
+    labels = [-1 if done is not None and done[b] else int(count) for b, count in enumerate(lines)]
     return [
         Plan(
             part,
@@ -83,6 +84,7 @@ def plans_of(
             sum(float(cost[b]) * labels[b] if labels[b] else float(share[b]) for b in inside),
         )
         for part, inside in cell.rectangles(BLOCK, labels)
+        if labels[inside[0]] >= 0
     ]
 
 
