@@ -28,7 +28,8 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     for row, found, before, verdict in table:
         now = (f"{found.value:7.3f}", f"{found.spread:7.3f}") if found else ("missing", "")
         stored = "" if before is None else f"{before:7.3f}"
-        terminalreporter.write_line(f"{row.name:62} {now[0]:>7} {now[1]:>7} {stored:>7} {'' if row.reach == math.inf else f'{row.reach:.3f}':>7}  {verdict}")
+        reach = "" if row.reach == math.inf else f"{row.reach:.3f}"
+        terminalreporter.write_line(f"{row.name:62} {now[0]:>7} {now[1]:>7} {stored:>7} {reach:>7}  {verdict}")
     if config.getoption("--store"):
         _store(table)
 

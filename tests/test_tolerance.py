@@ -12,8 +12,9 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.estimators import Estimate, Task
-from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
+from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.counted import Counted, Precision
+from torch_mcaa.estimators.steepness import Steepness, steepness_of
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 from torch_mcaa.replicates import Latest, agreed
@@ -96,17 +97,18 @@ def test_early_rounds_are_outgrown_by_two_that_agree_much_better() -> None:
 
 
 MOST = {
-    "slow tone": (scenes.Sinusoid(0.23, 0.11, 0.7), 9),
-    "tone": (scenes.Sinusoid(1.9, -0.8, 0.3), 36),
-    "zone plate": (scenes.ZonePlate(0.03, 60.3, 61.1), 20),
-    "pentagon": (scenes.Polygon(((20.3, 30.1), (90.2, 17.7), (110.9, 70.4), (60.5, 112.2), (22.1, 80.8))), 24),
-    "hairline": (scenes.Stripe(0.3, 80.2, 0.1), 16),
+    "slow tone": (scenes.Sinusoid(0.23, 0.11, 0.7), 3.6),
+    "tone": (scenes.Sinusoid(1.9, -0.8, 0.3), 9),
+    "ramp": (scenes.Ramp(2e-3, 1e-3), 1.5),
+    "zone plate": (scenes.ZonePlate(0.03, 60.3, 61.1), 9),
+    "pentagon": (scenes.Polygon(((20.3, 30.1), (90.2, 17.7), (110.9, 70.4), (60.5, 112.2), (22.1, 80.8))), 16),
+    "hairline": (scenes.Stripe(0.3, 80.2, 0.1), 8),
 }
 
 
 @pytest.mark.parametrize("name", MOST)
 def test_tolerance_is_met_with_few_evaluations(name: str) -> None:
-    """Some 1.5 times what was seen: blocks are done one by one, two rounds that agree are enough, and jumps are located at once."""
+    """Some 1.5 times what was seen: blocks are done one by one, one lattice is enough for a smooth f, and jumps are located at once."""
     scene, most = MOST[name]
     picture, error = _rendered(scene, 128, 1e-3)
     assert picture.stopped == "tolerance"
@@ -115,19 +117,44 @@ def test_tolerance_is_met_with_few_evaluations(name: str) -> None:
     assert float(error.abs().max()) <= 6e-3
 
 
+def _steepness(f, size: int, seed: int) -> tuple[Steepness, int]:
+    """And how many evaluations it took; the pilot's grid is not among them."""
+    cell = Cell(0, 0, size, size)
+    task = Task(Screen.of((size, size)), Integrand(f, torch.float64), FILTER, "extend", 1, torch.float64, torch.device("cpu"))
+    ask = Counted(task, cell, 1 << 20, Precision())
+    grid = ask.everywhere(0.3, 0.8, 0, 0, size, size)
+    left = ask.left
+    return steepness_of(ask, cell, grid, seed), left - ask.left
+
+
 @pytest.mark.parametrize("v", [0.2, 1.0, 2.5, 5.0])
 def test_steepness_tells_a_tones_frequency(v: float) -> None:
-    """48 pairs in each of 16 blocks: within a tenth over all, and each within a half; on a grid of whole pixels (1.5, 2) is two values."""
-    cell, tone = Cell(0, 0, 128, 128), scenes.Sinusoid(0.6 * v, 0.8 * v, 0.4)
-    task = Task(Screen.of((128, 128)), Integrand(tone, torch.float64), FILTER, "extend", 1, torch.float64, torch.device("cpu"))
-    ask = Counted(task, cell, 1 << 20, Precision())
-    frequency, std, level = frequency_of(ask, cell, 5)
-    assert float(frequency.square().mean().sqrt()) == pytest.approx(v, rel=0.1)
-    assert bool(((frequency / v).log().abs() < math.log(1.5)).all())
-    # the scene goes from 0 to 1
-    assert float(std.square().mean().sqrt()) == pytest.approx(math.sqrt(1 / 8), rel=0.05)
-    assert float(level.mean()) == pytest.approx(0.5, abs=0.05)
-    assert ask.left == (1 << 20) - 16 * 96
+    """24 places in each of 16 blocks: within a tenth over all, and each within a half; on a grid of whole pixels (1.5, 2) is two values."""
+    found, spent = _steepness(scenes.Sinusoid(0.6 * v, 0.8 * v, 0.4), 128, 5)
+    assert float(found.frequency.square().mean().sqrt()) == pytest.approx(v, rel=0.1)
+    assert bool(((found.frequency / v).log().abs() < math.log(1.5)).all())
+    # the scene goes from 0 to 1; the larger of two estimates
+    assert float(found.std.square().mean().sqrt()) == pytest.approx(math.sqrt(1 / 8), rel=0.1)
+    assert float(found.mean.mean()) == pytest.approx(0.5, abs=0.05)
+    assert spent == 16 * 5 * 24
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.2, 2.0, 2.9])
+def test_one_tone_is_told_by_its_bend(angle: float) -> None:
+    """Whatever its phase in a place: frequency and direction to a tenth, from 24 places of a block that holds whole periods and a part of one."""
+    v = 1.1 * math.cos(angle), 1.1 * math.sin(angle)
+    found, _ = _steepness(scenes.Sinusoid(*v, 0.4), 128, 5)
+    # a frequency and its negative are one
+    off = torch.minimum(*((found.tones - s * torch.tensor(v, dtype=torch.float64)).norm(dim=3) for s in (1, -1)))
+    assert float(off.max()) < 0.11
+
+
+def test_two_tones_may_have_any_direction() -> None:
+    first, second = scenes.Sinusoid(0.9, 0.1, 0.4), scenes.Sinusoid(-0.2, 0.7, 1.0)
+    found, _ = _steepness(lambda x, y: first(x, y) + second(x, y), 64, 5)
+    angle = torch.atan2(found.tones[..., 1], found.tones[..., 0]) % math.pi
+    gaps = torch.diff(angle.sort(2).values, dim=2)
+    assert float(gaps.max()) < 0.2
 
 
 def test_points_are_enough_for_a_tone_and_no_more_than_random_ones() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,15 +15,18 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.bandwidth import Bandwidth, frequency_of
+from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
+from torch_mcaa.estimators.resolved import Grid, Resolved
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
+from torch_mcaa.estimators.steepness import steepness_of
+from torch_mcaa.estimators.suited import suited
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.tolerance import Tolerance
@@ -114,11 +118,30 @@ def _can_locate(task: Task) -> bool:
     return not ends_in_step(filter) or sides(filter) is not None
 
 
+class _Seen(NamedTuple):
+    """What is known of the blocks of a cell after its pilot.
+
+    Attributes:
+        jumping: which are known to jump, decisions aside. texture: whether f has detail everywhere. spread: of neighbouring samples.
+        counts: under a tolerance how many points a pixel a lattice needs, in the first round.
+        done: blocks that are known well enough already, and what these and the attempt at others have `taken`.
+    """
+
+    judged: Judged
+    jumping: Tensor
+    texture: Tensor
+    spread: Tensor
+    counts: Tensor | None
+    done: list[tuple[Cell, Part]]
+    taken: int
+
+
 class AutoRound(Round):
     """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part.
 
     Under a tolerance, what is `wanted`, blocks whose jumps could not be located with `spp` evaluations a pixel have up to `most`, and where
-    nothing is to be located as many as f's steepness asks for. If there are no `jumps` there is a plain lattice alone; None is to look.
+    nothing is to be located as many as f's steepness asks for; in the first round one lattice is tried where f is smooth, and is enough if it
+    says so itself. If there are no `jumps` there is a plain lattice alone; None is to look.
     """
 
     def __init__(
@@ -138,6 +161,7 @@ class AutoRound(Round):
         if wanted is not None and jumps is not False:
             assert isinstance(task.filter, SeparableFilter)
             self.bandwidth = Bandwidth(task.filter)
+            self.resolved = Resolved(task, self.bandwidth, wanted, self.parts.seed)
 
     def points(self, cell: Cell) -> int:
         return self.spp * cell.height * cell.width
@@ -149,46 +173,51 @@ class AutoRound(Round):
             return self.parts.joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
         self.parts.random = is_random(ask, self.parts.seed)
         try:
-            judged, jumping, texture, spread, counts = self._pilot(cell, ask)
+            seen = self._pilot(cell, ask)
         except Spent:
             part = self.parts.sampled(cell, ask.left // pixels, ask.left)
             return self.parts.joined(cell, [(cell, part)], ask).estimate()
         audits = 0 if self.plain else pixels
         assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
-        plans = plans_of(cell, judged, texture, ask.left - audits, self.plain, second, self.most or 0)
+        judged, done = seen.judged, seen.done
+        smooth = torch.zeros_like(seen.texture)
+        for where, _ in done:
+            smooth[blocks_in(cell, where)] = True
+        most = None if self.most is None else self.most - -(-seen.taken // pixels)
+        plans = plans_of(cell, judged, seen.texture, ask.left - audits, self.plain, second, most or 0, smooth)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
         reserved = sum(plan.cost for plan in plain)
-        if self.most is not None:
-            left = max(left, min(left + (self.most - self.spp) * pixels, int(_MARGIN * expected + reserved)))
-        done: list[tuple[Cell, Part]] = []
+        if most is not None:
+            left = max(left, min(left + (most - self.spp) * pixels, int(_MARGIN * expected + reserved)))
         for plan in located:
             budget = int(
                 plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
             )
             size = sum(each.height * each.width for each in plan.cells)
-            more = 0 if self.most is None else max(0, self.most * size - budget)
-            parts = self.parts.located(cell, plan.cells, plan.lines, budget, plan.steps, jumping, self.wanted, more)
+            more = 0 if most is None else max(0, most * size - budget)
+            parts = self.parts.located(cell, plan.cells, plan.lines, budget, plan.steps, seen.jumping, self.wanted, more)
             done += parts
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
-        if counts is None or self.most is None:
-            part = self.parts.sampled_further(part, cell, spread, left, None if self.most is None else self.spp)
+        if seen.counts is None or self.most is None:
+            part = self.parts.sampled_further(part, cell, seen.spread, left, None if most is None else self.spp)
         else:
-            part = self.parts.sampled_first(part, cell, counts, self.most * pixels - part.spent)
+            part = self.parts.sampled_first(part, cell, seen.counts, self.most * pixels - part.spent)
         crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()
 
-    def _pilot(self, cell: Cell, ask: Counted) -> tuple[Judged, Tensor, Tensor, Tensor, Tensor | None]:
-        """What one sample a pixel tells of the blocks: verdicts; which are known to jump, decisions aside; whether f has detail everywhere; the
-        spread of neighbouring samples; and, under a tolerance, how many points a pixel a lattice needs.
-        """
+    def _pilot(self, cell: Cell, ask: Counted) -> _Seen:
+        """What one sample a pixel tells of the blocks."""
         parts = self.parts
         x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64) for axis in (0, 1))
-        row, col, bottom, right = cell.row - _RING, cell.col - _RING, cell.row + cell.height + _RING, cell.col + cell.width + _RING
+        # a closed screen has no samples about it
+        whole = self.wanted is not None and self.first and self.task.boundary == "extend"
+        ring = max(_RING, self.resolved.halo) if whole else _RING
+        row, col, bottom, right = cell.row - ring, cell.col - ring, cell.row + cell.height + ring, cell.col + cell.width + ring
         if self.task.boundary != "extend":
             row, col = max(row, 0), max(col, 0)
             bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
@@ -196,6 +225,7 @@ class AutoRound(Round):
         channels = self.task.integrand.channels
         codes = values[channels:, :, None] if self.task.followed else None
         values = values[:channels]
+        grid = Grid(float(x), float(y), row, col, values)
         x, y = x[None].to(self.task.device), y[None].to(self.task.device)
         samples = Everywhere(x, y, 0, row, col, values[:, :, None], codes=codes)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
@@ -213,10 +243,18 @@ class AutoRound(Round):
         if codes is not None:
             judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
-        counts = None
+        counts, done, taken = None, [], 0
         if self.wanted is not None and self.first:
-            frequency, std, level = frequency_of(ask, cell, parts.seed)
-            counts = self.bandwidth.points(frequency, std, self.wanted.allowed(level))
+            steep = steepness_of(ask, cell, values, parts.seed)
+            allowed = self.wanted.allowed(steep.mean)
+            counts = self.bandwidth.points(steep.frequency, steep.std, allowed)
+            if whole and not parts.random:
+                assert self.most is not None
+                # beside an edge lines are better, that meet what the pilot missed of it
+                jumps = bool((judged.verdict == Verdict.JUMPS).any())
+                smooth = judged.verdict == Verdict.CONTINUOUS if jumps else judged.verdict != Verdict.NOISE
+                chosen = suited(self.bandwidth, steep, allowed, smooth.cpu())
+                done, taken = self.resolved.parts(cell, chosen, grid, ask, (self.most - self.spp) * cell.height * cell.width)
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
         steps = [
             torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
@@ -226,7 +264,9 @@ class AutoRound(Round):
         texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
         spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         # a few numbers a block, of which the CPU makes plans
-        return judged.cpu(), jumping.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64), counts
+        return _Seen(
+            judged.cpu(), jumping.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64), counts, done, taken
+        )
 
 
 def _jumping(cell: Cell, judged: Judged) -> Tensor:

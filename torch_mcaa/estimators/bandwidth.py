@@ -1,4 +1,4 @@
-"""How many points a pixel a lattice needs for f, as far as its steepness tells: how f changes over a thirty-second of a pixel.
+"""How many points a pixel a filter needs a lattice to have for an f of so high frequencies.
 
 A tone of v cycles a pixel errs under a lattice by the filter's transform at v - g for its dual vectors g. So where the shortest of these is
 longer than v + k it errs by less than the transform at k.
@@ -13,18 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torch_mcaa import rng
-from torch_mcaa.estimators.blocks import BLOCK
-from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.filters import SeparableFilter
-from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice_search import reduced_basis
 from torch_mcaa.patterns.lattice_table import STRIPS
 
-_PAIRS = 48
-"""Of a block: the mean of so many squares is known to a fifth."""
-_APART = 1 / 32
-"""Px: a quarter of a period of the highest tones that matter."""
 _FEWEST, _MOST = 3, 16
 """Points: higher tones miss the dual vectors of a smaller lattice as often as not, and two rounds tell."""
 _NODES = 4096
@@ -32,7 +24,10 @@ _HIGHEST, _STEP = 16.0, 1 / 32
 """Cycles a pixel."""
 _SURE = 3.0
 """How far below what is allowed the error is to be: two lattices have to show it."""
-_STREAM = 0xBA2D
+_WIDE = 3.0
+"""How many times as wide as the filter the window is that tells a smooth f from one with detail between samples."""
+_CUT = 4.5
+"""Where it ends, in parts of how wide it is."""
 
 
 class Bandwidth:
@@ -46,18 +41,44 @@ class Bandwidth:
         # what no higher tone exceeds
         self.above = transform.flip(0).cummax(0).values.flip(0)
         self.power = float((profile.square().sum() * (_NODES / (2 * filter.half_width))) ** 2)
+        # as a normal density has it
+        self.wide = _WIDE / math.sqrt(4 * math.pi * self.power)
+        self.span = _CUT * self.wide
+        x = x * (self.span / filter.half_width)
+        window = self.window(x) / self.window(x).sum()
+        one = float(window.square().sum()) * _NODES / (2 * self.span)
+        self.std, self.told = 1 / (2 * math.sqrt(math.pi) * one), (self.power / one**2) ** 2 / 3
+
+    def window(self, x: Tensor) -> Tensor:
+        """A wide window along one axis, whose transform is nearly nothing at high frequencies; it ends smoothly at `span` px."""
+        inside = (1 - (x / self.span).square()).clamp_min(0)
+        return torch.exp(-0.5 * (x / self.wide).square()) * inside.square()
 
     def points(self, frequency: Tensor, std: Tensor, allowed: Tensor) -> Tensor:
         """(blocks,) int64: enough for tones of a `frequency` and of a standard deviation to err by no more than is `allowed`, (C, blocks).
 
         And no more than as many random points would need.
         """
-        ratio = allowed / std.clamp_min(1e-300)
-        beyond = _STEP * (self.above[:, None, None] > ratio / _SURE).sum(0)
         counts, lengths = _shortest()
-        place = torch.searchsorted(lengths, (frequency + beyond).nan_to_num(0.0)).clamp_max(len(counts) - 1)
-        random = (self.power / ratio.square()).clamp(_FEWEST, _MOST).ceil().long()
+        place = torch.searchsorted(lengths, self.length(frequency, std, allowed)).clamp_max(len(counts) - 1)
+        random = (self.power * (std / allowed).square()).clamp(_FEWEST, _MOST).ceil().long()
         return torch.minimum(counts[place], random).amax(0)
+
+    def margins(self, std: Tensor, allowed: Tensor) -> Tensor:
+        """(2, C, blocks) cycles a pixel: how far a tone has to be from a lattice's dual vectors to err by no more than is `allowed`, and from the
+        halves of these to be nothing under the wide window.
+        """
+        ratio = allowed / std.clamp_min(1e-300)
+        leak = (ratio / math.sqrt(2 * self.told)).clamp(1e-30, 1)
+        return torch.stack([self._beyond(ratio), (-leak.log() / 2).sqrt() / (math.pi * self.std)])
+
+    def length(self, frequency: Tensor, std: Tensor, allowed: Tensor) -> Tensor:
+        """Cycles a pixel: of a shortest dual vector that is surely enough for tones of a `frequency`."""
+        return (frequency + self._beyond(allowed / std.clamp_min(1e-300) / _SURE)).nan_to_num(0.0)
+
+    def _beyond(self, ratio: Tensor) -> Tensor:
+        """Cycles a pixel beyond which the filter's transform is below a ratio."""
+        return _STEP * (self.above[:, None, None] > ratio).sum(0)
 
 
 @cache
@@ -72,26 +93,3 @@ def _shortest() -> tuple[Tensor, Tensor]:
         if spp >= _FEWEST:
             lengths[spp] = best
     return torch.tensor(list(lengths)), torch.tensor(list(lengths.values()), dtype=torch.float64)
-
-
-def frequency_of(ask: Counted, cell: Cell, seed: int) -> tuple[Tensor, Tensor, Tensor]:
-    """The root mean square frequency of f (C, blocks), cycles a pixel, its standard deviation and its mean.
-
-    A tone's mean squared gradient is (2 pi v)^2 times its variance, half of which is along a random direction. The pairs are at random: on the
-    pilot's grid a tone of whole cycles a pixel is constant.
-    """
-    blocks, device = cell.blocks(BLOCK), ask.invalid.device
-    index = torch.arange(_PAIRS, device=device)
-    block = torch.arange(len(blocks), device=device)[:, None]
-    place = [rng.uniform(seed, _STREAM, block, index, axis, dtype=torch.float64) for axis in range(3)]
-    size = torch.tensor([(b.row, b.col, b.height, b.width) for b in blocks], device=device)[:, :, None]
-    row, col, turn = size[:, 0] + place[0] * size[:, 2], size[:, 1] + place[1] * size[:, 3], 2 * math.pi * place[2]
-    places = torch.stack([col, col + _APART * turn.cos()]), torch.stack([row, row + _APART * turn.sin()])
-    values = ask(*(p.flatten() for p in places)).to("cpu", torch.float64)
-    here, there = values.view(-1, 2, len(blocks), _PAIRS).unbind(1)
-    power = here.var(2)
-    return (
-        (2 * (there - here).square().mean(2) / power.clamp_min(1e-300)).sqrt() / (2 * math.pi * _APART),
-        power.sqrt(),
-        here.mean(2),
-    )

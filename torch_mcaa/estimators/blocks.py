@@ -37,7 +37,14 @@ def told(cell: Cell, segments: Segments, deciding: Tensor) -> Segments:
     return segments.take((segments.decided > 0) | ~deciding[blocks_of(cell, segments)])
 
 
+def blocks_in(cell: Cell, part: Cell) -> Tensor:
+    """The numbers of the blocks of a cell that are those of a part of it, which begins with a block."""
+    rows = torch.arange((part.row - cell.row) // BLOCK, -(-(part.row - cell.row + part.height) // BLOCK))
+    cols = torch.arange((part.col - cell.col) // BLOCK, -(-(part.col - cell.col + part.width) // BLOCK))
+    return (rows[:, None] * -(-cell.width // BLOCK) + cols).flatten()
+
+
 def by_pixel(by_block: Tensor, cell: Cell) -> Tensor:
-    """(h, w): what each pixel's block (rows, cols) of the cell has."""
-    plane = by_block.repeat_interleave(BLOCK, 0).repeat_interleave(BLOCK, 1)
-    return plane[: cell.height, : cell.width]
+    """(..., h, w): what each pixel's block (..., rows, cols) of the cell has."""
+    plane = by_block.repeat_interleave(BLOCK, -2).repeat_interleave(BLOCK, -1)
+    return plane[..., : cell.height, : cell.width]

@@ -60,6 +60,17 @@ class Counted:
         finally:
             self.kept = 0
 
+    def beside(self, cell: Cell) -> Counted:
+        """Another one, for a part of the cell, with no budget to speak of."""
+        return Counted(self.task, cell, 1 << 62, self.precision)
+
+    def cut(self, cell: Cell) -> Counted:
+        """The same for a part of the cell, with what was asked there so far."""
+        other, at = self.beside(cell), cell.within(self.cell)
+        other._points += self.points[at]
+        other.invalid += self.invalid[at]
+        return other
+
     @property
     def points(self) -> Tensor:
         """(h, w) int64, the evaluations so far in each pixel of the cell."""

@@ -55,8 +55,9 @@ def plans_of(
     plain: bool,
     second: int,
     ample: int = 0,
+    done: Tensor | None = None,
 ) -> list[Plan]:
-    """Those for the blocks of a cell, the one of the most lines last: as many as `budget` evaluations in all are expected to pay for.
+    """Those for the blocks of a cell that are not `done`, the one of the most lines last: as many as `budget` evaluations are expected to pay for.
 
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
     `ample` evaluations a pixel if they need them for three lines.
@@ -74,16 +75,16 @@ def plans_of(
             break
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
-    labels = [int(count) for count in lines]
-    rectangles = cell.rectangles(BLOCK, labels)
+    labels = [-1 if done is not None and done[b] else int(count) for b, count in enumerate(lines)]
+    rectangles, label = cell.rectangles(BLOCK, labels), torch.tensor(labels)
     return [
         Plan(
             [part for part, inside in rectangles if labels[inside[0]] == count],
             count,
             steps,
-            float(((cost * count if count else share) * (lines == count)).sum()),
+            float(((cost * count if count else share) * (label == count)).sum()),
         )
-        for count in sorted(set(labels))
+        for count in sorted({*labels} - {-1})
     ]
 
 
