@@ -10,7 +10,9 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
 from torch_mcaa.edges.candidates import Segments, threshold
+from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.lines import Ask, Lines
+from torch_mcaa.edges.picking import numbers, pick
 from torch_mcaa.edges.pieces import SHORT, Numbered, pieces_of, place_of
 
 _STREAM = 0xC4A1
@@ -52,9 +54,9 @@ class _Order:
         best, distance = torch.full_like(line, -1), torch.zeros_like(place) + within
         for at in (after - 1, after):
             index = at.clamp(0, len(self.keys) - 1)
-            off = (self.keys[index] - target).abs()
+            off = (pick(self.keys, index) - target).abs()
             closer = off <= distance
-            best, distance = torch.where(closer, self.order[index], best), torch.where(closer, off, distance)
+            best, distance = torch.where(closer, pick(self.order, index), best), torch.where(closer, off, distance)
         return best
 
 
@@ -62,7 +64,8 @@ def linked(crossings: Crossings, grid: Numbered, direction: int) -> Tensor:
     """(N,) the crossing of the same edge on the next line in a direction, or -1."""
     line, alone = grid.number(crossings.across), _alone(crossings, grid)
     other = _Order.of(line, crossings.place).nearest(line + direction, crossings.place, _STEEPEST / grid.count)
-    return torch.where(alone & alone[other] & _alike(crossings.jump, crossings.jump[:, other]), other, -1)
+    there = other.clamp_min(0)
+    return torch.where(alone & pick(alone, there) & (other >= 0) & _alike(crossings.jump, pick(crossings.jump, there)), other, -1)
 
 
 def _alone(crossings: Crossings, grid: Numbered) -> Tensor:
@@ -120,7 +123,7 @@ def _followed(
     index = last.nonzero()[:, 0]
     line, place = numbers[index], known.place[index]
     slope, gone, jump = place - known.place[behind[index]], torch.ones_like(line), known.jump[:, index]
-    found: list[Crossings] = []
+    found: list[Segments] = []
     within = max(_WITHIN, 2 * finest)
     for _ in range(_LINES):
         target, across = place + slope * gone, grid.across(line + direction * gone)
@@ -142,29 +145,39 @@ def _followed(
             place, jump = torch.where(there, known.place[here], place), torch.where(there, known.jump[:, here], jump)
             line, gone = torch.where(there, line + direction * gone, line), torch.where(there, 1, gone)
             continue
-        met, got = _met(ask, known, grid, across, target, within, finest, seed)
-        met &= _alike(jump, got.jump)
-        moved = torch.where(met, got.place - place, 0)
-        new = met & (order.nearest(line + direction * gone, got.place, _TWICE + finest) < 0)
-        new &= _first(line + direction * gone, got.place, new, _TWICE + finest)
-        found.append(got.take(new))
-        jump = torch.where(met, got.jump, jump)
-        slope = torch.where(met, moved / gone, slope)
-        place, line = torch.where(met, got.place, place), torch.where(met, line + direction * gone, line)
+        met, low, high, before, after = _met(ask, known.axis, grid, across, target, jump, within, seed)
+        met &= _alike(jump, after - before)
+        middle = torch.where(met, (low + high) / 2, target)
+        number = line + direction * gone
+        new = met & (order.nearest(number, middle, (high - low) / 2 + _TWICE) < 0)
+        new &= _first(number, middle, new, within)
+        found.append(segments_of(known.axis, across, low, high, before, after, grid.phase(number), number).take(new))
+        jump = torch.where(met, after - before, jump)
+        slope = torch.where(met, (middle - place) / gone, slope)
+        place, line = torch.where(met, middle, place), torch.where(met, number, line)
         gone = torch.where(met, 1, gone + 1)
         on = new | (~met & (gone <= 1 + _FADED))
         line, place, slope, gone, jump = (t[..., on] for t in (line, place, slope, gone, jump))
-    return found
+    if not found:
+        return []
+    # all at once: a walk of many lines would else ask f a few places at a time
+    brackets = together(found)
+    got = bisect(ask, brackets, finest, seed)
+    single = torch.bincount(got.segment, minlength=len(brackets)) == 1
+    return [got.take(pick(single, got.segment))]
 
 
 def _met(
-    ask: Ask, like: Crossings, grid: Numbered, across: Tensor, target: Tensor, within: float, finest: float, seed: int
-) -> tuple[Tensor, Crossings]:
-    """Which edges were met (N,) about places on lines, and the crossings of all, those that were not met anything."""
+    ask: Ask, axis: int, grid: Numbered, across: Tensor, target: Tensor, like: Tensor, within: float, seed: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Which edges were met (N,) about places on lines, in brackets from low to high (N,), with f before and after (C, N), as jumps `like` have it.
+
+    A bracket is about 2 `within` wide; those of edges that were not met say nothing.
+    """
     lines = grid.number(across)
-    shape = _shape(like.axis, lines, target, seed)
+    shape = _shape(axis, lines, target, seed)
     low, high = (torch.zeros_like(target) for _ in range(2))
-    before, after = (like.before.new_zeros(len(like.before), len(target)) for _ in range(2))
+    before, after = (torch.zeros_like(like) for _ in range(2))
     clear = torch.zeros_like(target, dtype=torch.bool)
     for width in (within, _WIDER * within):
         left = (~clear).nonzero()[:, 0]
@@ -172,7 +185,7 @@ def _met(
             break
         sides = torch.tensor([-3.0, -1.0, 1.0, 3.0], dtype=target.dtype, device=target.device)[:, None]
         places = target[left] + width * sides * torch.where(sides < 0, shape[left], 1)
-        values = ask_on(ask, like.axis, places.flatten(), across[left].repeat(4)).unflatten(1, places.shape)
+        values = ask_on(ask, axis, places.flatten(), across[left].repeat(4)).unflatten(1, places.shape)
         change = (values[:, 1:] - values[:, :-1]).abs().amax(0)
         sizes, part = change.sort(0, descending=True)
         part, some = (
@@ -183,18 +196,17 @@ def _met(
         clear[at] = True
         low[at], high[at] = places[part, where], places[part + 1, where]
         before[:, at], after[:, at] = values[:, part, where], values[:, part + 1, where]
-    segments = segments_of(like.axis, across, low, high, before, after, grid.phase(lines), lines)
-    index = clear.nonzero()[:, 0]
-    got = bisect(ask, segments.take(index), finest, seed)
-    single = torch.bincount(got.segment, minlength=len(index)) == 1
-    got = got.take(single[got.segment])
-    met = torch.zeros_like(clear)
-    met[index[got.segment]] = True
-    # one for each, in the place where it was asked
-    place, width = target.clone(), torch.zeros_like(target)
-    place[index[got.segment]], width[index[got.segment]] = got.place, got.width
-    before[:, index[got.segment]], after[:, index[got.segment]] = got.before, got.after
-    return met, Crossings(like.axis, across, place, width, before, after, segments.phase, torch.zeros_like(lines))
+    wide = numbers(clear & (high - low > 3 * within))
+    if len(wide):
+        segments = segments_of(axis, across, low, high, before, after, grid.phase(lines), lines).take(wide)
+        got = bisect(ask, segments, 2 * within, seed)
+        got = got.take(pick(torch.bincount(got.segment, minlength=len(wide)) == 1, got.segment))
+        clear[wide] = False
+        at = pick(wide, got.segment)
+        clear[at] = True
+        low[at], high[at] = got.place - got.width / 2, got.place + got.width / 2
+        before[:, at], after[:, at] = got.before, got.after
+    return clear, low, high, before, after
 
 
 def _shape(axis: int, line: Tensor, place: Tensor, seed: int) -> Tensor:

@@ -245,10 +245,14 @@ class Leveller:
 
     def _continued(self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float) -> Crossings:
         """The crossings with those of their edges that do not stand out, as far as a share of what is left pays for them."""
-        origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
+        # no further than there are samples: beyond, every edge ends, and none weighs anything
+        reach = self.window.halo - 1
+        wanted = dilated(torch.nn.functional.pad(used & ~self.lost, (reach,) * 4), reach)
         try:
             with self.ask.keeping(1 - share):
-                return continued(self.ask, crossings, lines, self._widened(used & ~self.lost), origin, self.finest, seed)
+                return continued(
+                    self.ask, crossings, lines, wanted, (self.cell.row - reach, self.cell.col - reach), self.finest, seed
+                )
         except Spent:
             return crossings
 
