@@ -90,10 +90,10 @@ def test_links_need_jumps_alike_and_places_near() -> None:
     samples = sampled(f, LINES, rows=SIZE, cols=SIZE)
     known, lines = known_edge(f)
     grid = Numbered(samples, 0)
-    assert torch.equal(linked(known, grid, 1)[:-1], torch.arange(1, len(lines)))
-    assert int(linked(known, grid, 1)[-1]) == -1
+    assert torch.equal(linked(known, grid, 1)[0][:-1], torch.arange(1, len(lines)))
+    assert int(linked(known, grid, 1)[0][-1]) == -1
     other = crossings(0, lines[::2], edge(lines[::2]), torch.full((1, len(lines[::2])), 3.0, dtype=torch.float64), samples)
-    assert bool((linked(other, grid, 1) == -1).all())
+    assert bool((linked(other, grid, 1)[0] == -1).all())
 
 
 def test_the_parts_of_a_steep_step_are_no_edges_of_their_own() -> None:
@@ -102,7 +102,7 @@ def test_the_parts_of_a_steep_step_are_no_edges_of_their_own() -> None:
     lines = all_lines(samples, 0)
     twice, place = lines.repeat(2), torch.cat([edge(lines), edge(lines) + 0.03])
     known = crossings(0, twice, place, torch.ones(1, len(twice), dtype=torch.float64), samples)
-    assert bool((linked(known, Numbered(samples, 0), 1) == -1).all())
+    assert bool((linked(known, Numbered(samples, 0), 1)[0] == -1).all())
 
 
 def test_where_an_edge_ends_following_ends_soon() -> None:

@@ -60,12 +60,16 @@ class _Order:
         return best
 
 
-def linked(crossings: Crossings, grid: Numbered, direction: int) -> Tensor:
-    """(N,) the crossing of the same edge on the next line in a direction, or -1."""
+def linked(crossings: Crossings, grid: Numbered, *directions: int) -> list[Tensor]:
+    """For each direction the crossing (N,) of the same edge on the next line, or -1."""
     line, alone = grid.number(crossings.across), _alone(crossings, grid)
-    other = _Order.of(line, crossings.place).nearest(line + direction, crossings.place, _STEEPEST / grid.count)
-    there = other.clamp_min(0)
-    return torch.where(alone & pick(alone, there) & (other >= 0) & _alike(crossings.jump, pick(crossings.jump, there)), other, -1)
+    order, found = _Order.of(line, crossings.place), []
+    for direction in directions:
+        other = order.nearest(line + direction, crossings.place, _STEEPEST / grid.count)
+        there = other.clamp_min(0)
+        same = alone & pick(alone, there) & (other >= 0) & _alike(crossings.jump, pick(crossings.jump, there))
+        found.append(torch.where(same, other, -1))
+    return found
 
 
 def _alone(crossings: Crossings, grid: Numbered) -> Tensor:
@@ -98,30 +102,42 @@ def continued(
 
     wanted: bool (R, Q), the pixels from `origin` (row, col) inside which edges are followed.
     """
+    if len(crossings) < 2:
+        return crossings
     grid = Numbered(lines, crossings.axis)
-    for direction in (1, -1):
-        if len(crossings) < 2:
-            break
-        crossings = joined([crossings, *_followed(ask, crossings, grid, direction, wanted, origin, finest, seed)])
-    return crossings
+    above, below = linked(crossings, grid, 1, -1)
+    more = _followed(ask, crossings, grid, 1, above, below, wanted, origin, finest, seed)
+    if more:
+        crossings = joined([crossings, *more])
+        above, below = linked(crossings, grid, 1, -1)
+    return joined([crossings, *_followed(ask, crossings, grid, -1, below, above, wanted, origin, finest, seed)])
 
 
 def _followed(
-    ask: Ask, known: Crossings, grid: Numbered, direction: int, wanted: Tensor, origin: tuple[int, int], finest: float, seed: int
+    ask: Ask,
+    known: Crossings,
+    grid: Numbered,
+    direction: int,
+    ahead: Tensor,
+    behind: Tensor,
+    wanted: Tensor,
+    origin: tuple[int, int],
+    finest: float,
+    seed: int,
 ) -> list[Crossings]:
-    """The crossings beyond the last ones of edges, towards higher (+1) or lower (-1) lines."""
-    numbers = grid.number(known.across)
-    order = _Order.of(numbers, known.place)
-    behind = linked(known, grid, -direction)
-    ahead = linked(known, grid, direction)
+    """The crossings beyond the last ones of edges, towards higher (+1) or lower (-1) lines; `ahead` and `behind` (N,) as `linked` has them."""
     last = (ahead < 0) & (behind >= 0)
+    if not bool(last.any()):
+        return []
+    line_of = grid.number(known.across)
+    order = _Order.of(line_of, known.place)
     # thin pieces are followed as such
     pieces, ends = pieces_of(known, grid)
     one, two = known.jump[:, ends[:, 0]], known.jump[:, ends[:, 1]]
     back = (one + two).abs().amax(0) <= _ALIKE * torch.maximum(one.abs().amax(0), two.abs().amax(0))
     last[ends[back & (pieces.width < SHORT)].flatten()] = False
     index = last.nonzero()[:, 0]
-    line, place = numbers[index], known.place[index]
+    line, place = line_of[index], known.place[index]
     slope, gone, jump = place - known.place[behind[index]], torch.ones_like(line), known.jump[:, index]
     found: list[Segments] = []
     within = max(_WITHIN, 2 * finest)
@@ -246,7 +262,7 @@ def _told(known: Crossings, old: Numbered, new: Numbered) -> tuple[Tensor, Tenso
     """The lines between two old ones that an edge crosses, the places on them where it does, and their numbers."""
     if len(known) == 0:
         return known.across, known.place, known.segment
-    other = linked(known, old, 1)
+    (other,) = linked(known, old, 1)
     start = (other >= 0).nonzero()[:, 0]
     stop = other[start]
     first, height = known.across[start], known.across[stop] - known.across[start]
