@@ -19,6 +19,7 @@ from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
+from torch_mcaa.estimators.further import sampled_first, sampled_further
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
@@ -203,9 +204,9 @@ class AutoRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            part = self.parts.sampled_further(part, cell, seen.spread, left, None if most is None else self.spp)
+            part = sampled_further(self.parts, part, cell, seen.spread, left, None if most is None else self.spp)
         else:
-            part = self.parts.sampled_first(part, cell, seen.counts, self.most * pixels - part.spent)
+            part = sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
         crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()

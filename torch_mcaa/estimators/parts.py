@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -12,15 +12,14 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.candidates import Finder, Segments
+from torch_mcaa.edges.candidates import Finder
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere, Lines
-from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.base import MANY, Estimate, Task, dilated, settled, unseen
-from torch_mcaa.estimators.blocks import BLOCK
+from torch_mcaa.estimators.base import Estimate, Task, dilated, settled, unseen
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.lattice_weights import Geometry
+from torch_mcaa.estimators.owner import Owner
 from torch_mcaa.estimators.shared_lattice import LatticeRound, Look
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -38,7 +37,7 @@ PLAIN, LOCATED, FINER, SAMPLED, CROWDED = range(5)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
-_FEWEST = 3
+FEWEST = 3
 """Lines."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
@@ -46,10 +45,6 @@ _LATTICES = 2
 """Those that are remembered for the next cell."""
 _CROSSED = 1 << 14
 """The lines that an edge may cross in a cell: what is kept of it grows with them."""
-_CLASSES = 3
-"""Steps of how much f changes in a block, by which blocks are sampled together."""
-_SMALL = 1e-4
-"""A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
 
 def located(model: Tensor) -> bool:
@@ -174,7 +169,7 @@ class Parts:
         task = self.task
         assert isinstance(task.filter, SeparableFilter)
         pixels = sum(each.height * each.width for each in rectangles)
-        while count > _FEWEST and (count + self.audited) * pixels > budget:
+        while count > FEWEST and (count + self.audited) * pixels > budget:
             count -= 2
         if (count + self.audited) * pixels > budget:
             spp = budget // pixels
@@ -182,7 +177,7 @@ class Parts:
         lattice = self._lattice(count, True)
         x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
         around = [self._around(each) for each in rectangles]
-        owner = _Owner(rectangles, [lattice.weights.geometry(each) for each in around], task.device)
+        owner = Owner(rectangles, [lattice.weights.geometry(each) for each in around], task.device)
         ask = self.ask(cell, budget - (count + self.audited) * pixels)
         allowed = torch.zeros(cell.height, cell.width, dtype=torch.bool, device=task.device)
         plain: list[tuple[Cell, Part]] = []
@@ -297,119 +292,3 @@ class Parts:
             if part.blind is not None:
                 blind[:, *at] = part.blind
         return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density, blind)
-
-    def sampled_first(self, part: Part, cell: Cell, counts: Tensor, left: int) -> Part:
-        """Of the `left` evaluations so many a pixel, `counts` (blocks,), in the blocks that have had none."""
-        density = torch.as_tensor(part.density).expand(cell.height, cell.width).clone()
-        had = density[::BLOCK, ::BLOCK].flatten() > 0
-        # neighbours alike
-        steps = (2 ** ((4 * counts.to(torch.float64).log2()).ceil() / 4)).floor().long()
-        heavy = torch.zeros_like(part.value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
-        labels = [0 if done else int(count) for count, done in zip(steps, had, strict=True)]
-        assert part.blind is not None
-        pixels = [(where, labels[inside[0]]) for where, inside in cell.rectangles(BLOCK, labels) if labels[inside[0]]]
-        total = sum(where.height * where.width * label for where, label in pixels)
-        for where, label in pixels:
-            at, count = where.within(cell), max(1, int(label * min(1.0, left / max(1, total))))
-            more = self.sampled(where, count, where.height * where.width * count)
-            part.value[:, *at], part.variance[:, *at] = more.value, more.variance
-            part.blind[:, *at] = 0 if more.blind is None else more.blind
-            part.points[at] += more.points
-            part.invalid[at] += more.invalid
-            part.model[at] = SAMPLED if count > _FEWEST else PLAIN
-            density[at] = count
-            if more.heavy is not None:
-                heavy[:, *at] |= more.heavy
-        return replace(part, heavy=heavy if bool(heavy.any()) else None, density=density)
-
-    def sampled_further(self, part: Part, cell: Cell, spread: Tensor, left: int, most: int | None) -> Part:
-        """More samples, of the `left` evaluations, in the blocks with pixels whose jumps were not located and that are not known well enough.
-
-        With what they have had, a third in equal shares and the rest by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
-        place of the standard deviation; at most `most` a pixel on average.
-        """
-        value, variance, free = part.value, part.variance, part.model == PLAIN
-        finite = value.nan_to_num(0.0, 0.0, 0.0)
-        span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
-        known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
-        poor = (variance.sqrt() > known).any(0) & free
-        some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten().cpu() > 0
-        density = torch.as_tensor(part.density).expand(cell.height, cell.width)
-        # what a block has had, and, in steps of a factor of 4, how much f changes in it
-        steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
-        labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten().cpu()) * some).long().tolist()
-        # rectangle, what it has had a pixel, its spread
-        poorest = [
-            (where, (labels[inside[0]] - 1) // (1 + _CLASSES), float(spread[inside].mean()))
-            for where, inside in cell.rectangles(BLOCK, labels)
-            if labels[inside[0]]
-        ]
-        heavy = torch.zeros_like(value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
-        density, blind = density.clone(), torch.zeros_like(variance) if part.blind is None else part.blind
-        for where, had, count in _counts(poorest, left, most):
-            at = where.within(cell)
-            more, here = self.sampled(where, count, left), free[at]
-            left -= more.spent
-            seen = 0 if more.blind is None else more.blind
-            if had:
-                share = here * _share(variance[:, *at] * here, had, more.variance * here, count)
-                value[:, *at] += (more.value - value[:, *at]) * share
-                variance[:, *at] = variance[:, *at] * (1 - share) ** 2 + more.variance * share**2
-                blind[:, *at] = blind[:, *at] * (1 - share) ** 2 + seen * share**2
-            else:
-                value[:, *at], variance[:, *at], blind[:, *at] = more.value, more.variance, seen
-            part.points[at] += more.points
-            part.invalid[at] += more.invalid
-            part.model[at] = torch.where(here, SAMPLED, part.model[at])
-            density[at] += here * count
-            if more.heavy is not None:
-                heavy[:, *at] |= more.heavy & here
-        return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density, blind)
-
-
-class _Owner:
-    """Which of several rectangles, sampled in and around, has the segments that begin in a pixel: the one it is of, or the first that reaches it."""
-
-    def __init__(self, rectangles: list[Cell], at: list[Geometry], device: torch.device) -> None:
-        self.row, self.col = min(a.strip for a in at), min(a.col for a in at)
-        shape = max(a.strip + a.strips for a in at) - self.row, max(a.col + a.cols for a in at) - self.col
-        self.alone = len(rectangles) == 1
-        if self.alone:
-            return
-        self.number = torch.full(shape, -1, device=device)
-        areas = [Cell(a.strip, a.col, a.strips, a.cols) for a in at]
-        for index, area in [*reversed([*enumerate(areas)]), *enumerate(rectangles)]:
-            self.number[area.within(Cell(self.row, self.col, *shape))] = index
-
-    def those_of(self, number: int, segments: Segments) -> Segments:
-        if self.alone:
-            return segments
-        return segments.take(self.number[segments.key[:, 1] - self.row, segments.key[:, 2] - self.col] == number)
-
-
-def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, int]]:
-    """Of parts (cell, what it has had a pixel, spread) those that are given more, and how many evaluations a pixel."""
-    while parts:
-        pixels = [where.height * where.width for where, _, _ in parts]
-        total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))
-        each = (left + had) / total if most is None else min(most, (left + had) / total)
-        mean = sum(n * spread for n, (_, _, spread) in zip(pixels, parts, strict=True)) / total
-        counts = [int(each * (1 + 2 * spread / mean) / 3 - had) for _, had, spread in parts]
-        enough = [had > 0 and count < 1 for (_, had, _), count in zip(parts, counts, strict=True)]
-        if not any(enough):
-            return [(where, had, max(1, count)) for (where, had, _), count in zip(parts, counts, strict=True)]
-        parts = [part for part, done in zip(parts, enough, strict=True) if not done]
-    return []
-
-
-def _share(first: Tensor, had: float, second: Tensor, more: int) -> float:
-    """The weight of a second lattice of `more` points a pixel beside a first of `had`.
-
-    n^1.5, the inverse variance on edges, or, if that is more for the larger lattice, the inverse means of their variances over a block, of
-    which a few pixels tell too little: a small lattice may take detail for none, and a large one is far better where f is smooth.
-    """
-    share = more**1.5 / (more**1.5 + had**1.5)
-    mine, theirs = (float(v.to(torch.float64).mean()) for v in (first, second))
-    if first[0].numel() < MANY or not 0 < mine + theirs < math.inf:
-        return share
-    return (max if more > had else min)(share, mine / (mine + theirs))
