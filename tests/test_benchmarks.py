@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import estimators
 import pytest
@@ -95,3 +97,15 @@ def test_allocation_gains_no_more_than_the_theory_allows():
     # 8 repetitions of some 80 pixels: 4 sigma of the ratio of two mean squares is 32 %
     for mean, _ in allocated("random edges", 1, 8).values():
         assert 0.68 * least < mean < 0.6
+
+
+def test_the_readme_has_the_times_of_the_baseline():
+    """Every row of its table of times is one of `benchmarks/results/baseline.json` on two threads, and every one of these is there."""
+    root = Path(__file__).parents[1]
+    table = (root / "README.md").read_text(encoding="utf8").split("<!-- times -->")[1].split("<!-- end of times -->")[0]
+    baseline = json.loads((root / "benchmarks" / "results" / "baseline.json").read_text(encoding="utf8"))
+    said = dict(_cells(line) for line in table.strip().splitlines()[2:])
+    assert said == {
+        name: " ± ".join(f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in (row["ratio"], row["spread"]))
+        for name, row in baseline["2 threads"]["ratios"].items()
+    }

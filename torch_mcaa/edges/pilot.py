@@ -22,7 +22,7 @@ _SIDES = 5
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
 _FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
-_BROKEN, _TESTED, _PEAKED, _MOSTLY = 0.25, 10, 0.22, 0.75
+_BROKEN, _TESTED, _PEAKED, _HELD = 0.25, 10, 0.22, 0.5
 _NEAR, _OFF = 1 / 8, 1 / 4
 """Px: how far from a jump it is looked at whether it is an edge."""
 
@@ -66,7 +66,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     More than 25 % of the jumps, of 10 or more, that are no edge: detail on every scale, of which bisection finds one jump of many. Where an
     edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction; about a
     thin piece's they may both have the one outside it.
-    Along the axis that shows most of them at least three quarters of the candidates have to change in a few places: where f changes between samples
+    Along the axis that shows most of them at least half of the candidates have to change in a few places: where f changes between samples
     as much as it jumps, those that stand out are few of an edge's, and samples do as well.
     And f is continuous where single samples that stick out without a jump change it by over 22 % of what jumps do.
 
@@ -115,7 +115,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     # both outside of a thin piece have always less, or always more
     broken = 2 * torch.minimum(more, less)
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
-    verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _MOSTLY * shown)] = Verdict.CONTINUOUS
+    verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _HELD * shown)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
     return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
 
