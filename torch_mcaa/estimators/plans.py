@@ -119,7 +119,8 @@ def _lines(
             count = _FEWEST_LINES if few else count - 1 + count % 2
             calm = count if alike and not few else most if bool((busy | quiet).all()) else min(most, _CALM_LINES)
             return torch.where(busy, count, torch.where(quiet, calm, 0)), cost
-        busy[(cost * busy).argmax()] = False
+        # for its size: a block that the screen cuts costs little even where it costs most a pixel
+        busy[(cost / pixels * busy).argmax()] = False
     return torch.where(quiet, most if bool(quiet.all()) else min(most, _CALM_LINES), 0), cost
 
 
