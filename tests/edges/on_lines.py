@@ -12,7 +12,7 @@ from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
-from torch_mcaa.edges.lines import Everywhere, Lines, Samples, Scattered
+from torch_mcaa.edges.lines import Everywhere, Lines, Samples, Scattered, norm, summed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters import SeparableFilter
 
@@ -67,6 +67,11 @@ def scatter(samples: Everywhere, asked: Tensor | None = None) -> Scattered:
     slot = torch.full(asked.shape, -1)
     slot[asked] = torch.arange(int(asked.sum()))
     return Scattered(samples.x, samples.y, samples.number, samples.row, samples.col, planes[:, asked], slot)
+
+
+def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
+    """(C, N) float64: the samples' weighted means."""
+    return summed(samples, profile, rows, cols, reach) / norm(samples, profile, reach)
 
 
 def segments(

@@ -6,13 +6,13 @@ import math
 
 import pytest
 import torch
-from on_lines import View, all_lines, crossings, sampled, scatter, step
+from on_lines import View, all_lines, crossings, sampled, scatter, step, weighed
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import Everywhere, weighed
+from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.filters import SeparableFilter
 
 CPU = torch.device("cpu")

@@ -6,12 +6,12 @@ import math
 
 import pytest
 import torch
-from on_lines import Ask, sampled, scatter
+from on_lines import Ask, sampled, scatter, weighed
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import scattered, weighed
+from torch_mcaa.edges.lines import scattered
 from torch_mcaa.filters import SeparableFilter
 
 ROUNDING = 1e-13

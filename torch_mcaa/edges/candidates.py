@@ -196,6 +196,17 @@ class Finder:
         return found
 
 
+def brackets(
+    axis: int, across: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor, phase: Tensor, line: Tensor, kind: int = 0
+) -> Segments:
+    """Segments between any two places of lines, by the lines' numbers; random numbers of another `kind` are others."""
+    none = torch.zeros_like(line)
+    key = torch.stack([line, (low * 2**20).long(), none + kind], 1)
+    return Segments(
+        axis, across, low, high, before, after, threshold(after - before), phase, key, none > 0, none, torch.zeros_like(low)
+    )
+
+
 def joined(parts: Sequence[Segments]) -> Segments:
     """The segments of parts along one axis."""
     names = [field.name for field in fields(parts[0])[1:]]

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
-from torch_mcaa.edges.candidates import Segments, threshold
+from torch_mcaa.edges.candidates import Segments, brackets
 from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.lines import Ask, Lines
 from torch_mcaa.edges.picking import numbers, pick
-from torch_mcaa.edges.pieces import SHORT, Numbered, pieces_of, place_of
+from torch_mcaa.edges.pieces import SHORT, Numbered, inside, pieces_of, place_of
 
 _STREAM = 0xC4A1
 _STEEPEST = 1.7
@@ -143,10 +143,7 @@ def _followed(
     within = max(_WITHIN, 2 * finest)
     for _ in range(_LINES):
         target, across = place + slope * gone, grid.across(line + direction * gone)
-        row, col = (across, target) if known.axis == 0 else (target, across)
-        row, col = row.floor().long() - origin[0], col.floor().long() - origin[1]
-        go = (row >= 0) & (row < wanted.shape[0]) & (col >= 0) & (col < wanted.shape[1])
-        go &= wanted[row.clamp(0, wanted.shape[0] - 1), col.clamp(0, wanted.shape[1] - 1)]
+        go = inside(wanted, origin, known.axis, target, across)
         here = order.nearest(line + direction * gone, target, _NEAR)
         go &= ((here < 0) | (ahead[here] < 0)) & (slope.abs() * grid.count < _STEEPEST)
         line, place, slope, gone, target, across, jump, here = (
@@ -167,7 +164,7 @@ def _followed(
         number = line + direction * gone
         new = met & (order.nearest(number, middle, (high - low) / 2 + _TWICE) < 0)
         new &= _first(number, middle, new, within)
-        found.append(segments_of(known.axis, across, low, high, before, after, grid.phase(number), number).take(new))
+        found.append(brackets(known.axis, across, low, high, before, after, grid.phase(number), number).take(new))
         jump = torch.where(met, after - before, jump)
         slope = torch.where(met, (middle - place) / gone, slope)
         place, line = torch.where(met, middle, place), torch.where(met, number, line)
@@ -177,9 +174,9 @@ def _followed(
     if not found:
         return []
     # all at once: a walk of many lines would else ask f a few places at a time
-    brackets = together(found)
-    got = bisect(ask, brackets, finest, seed)
-    single = torch.bincount(got.segment, minlength=len(brackets)) == 1
+    every = together(found)
+    got = bisect(ask, every, finest, seed)
+    single = torch.bincount(got.segment, minlength=len(every)) == 1
     return [got.take(pick(single, got.segment))]
 
 
@@ -214,7 +211,7 @@ def _met(
         before[:, at], after[:, at] = values[:, part, where], values[:, part + 1, where]
     wide = numbers(clear & (high - low > 3 * within))
     if len(wide):
-        segments = segments_of(axis, across, low, high, before, after, grid.phase(lines), lines).take(wide)
+        segments = brackets(axis, across, low, high, before, after, grid.phase(lines), lines).take(wide)
         got = bisect(ask, segments, 2 * within, seed)
         got = got.take(pick(torch.bincount(got.segment, minlength=len(wide)) == 1, got.segment))
         clear[wide] = False
@@ -228,17 +225,6 @@ def _met(
 def _shape(axis: int, line: Tensor, place: Tensor, seed: int) -> Tensor:
     """How far brackets go to the left: no two alike, or the middles of the last ones would all err alike."""
     return 1 + 0.25 * rng.uniform(seed, _STREAM, axis, line, (place * 2**20).long()).to(torch.float64)
-
-
-def segments_of(
-    axis: int, across: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor, phase: Tensor, line: Tensor
-) -> Segments:
-    """Brackets about places that are foretold."""
-    none = torch.zeros_like(line)
-    key = torch.stack([line, (low * 2**20).long(), none], 1)
-    return Segments(
-        axis, across, low, high, before, after, threshold(after - before), phase, key, none > 0, none, torch.zeros_like(low)
-    )
 
 
 def between(ask: Ask, known: Crossings, old: Lines, lines: Lines, found: Segments, seed: int) -> Segments:
@@ -255,7 +241,7 @@ def between(ask: Ask, known: Crossings, old: Lines, lines: Lines, found: Segment
     high = place + _WITHIN / 2
     values = ask_on(ask, known.axis, torch.cat([low, high]), across.repeat(2)) if len(place) else found.before[:, :0]
     before, after = values.split(len(place), 1) if len(place) else (values, values)
-    return segments_of(known.axis, across, low, high, before, after, Numbered(lines, known.axis).phase(number), number)
+    return brackets(known.axis, across, low, high, before, after, Numbered(lines, known.axis).phase(number), number)
 
 
 def _told(known: Crossings, old: Numbered, new: Numbered) -> tuple[Tensor, Tensor, Tensor]:

@@ -186,11 +186,6 @@ def norm(lines: Lines, profile: Callable[[Tensor], Tensor], reach: int) -> float
     return float((wx * wy).sum())
 
 
-def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
-    """(C, N) float64: the samples' weighted means; `summed` over `norm`."""
-    return summed(samples, profile, rows, cols, reach) / norm(samples, profile, reach)
-
-
 def summed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
     """(C, N) float64: the samples' weighted sums about the centres of the pixels (rows, cols), counted on the screen.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.picking import numbers, pick
 
@@ -93,6 +93,15 @@ class Known:
             fits &= (piece.inside - inside).abs().amax(0) <= tolerance
             found = torch.where(fits & (found < 0), index, found)
         return found
+
+
+def inside(wanted: Tensor, origin: tuple[int, int], axis: int, along: Tensor, across: Tensor) -> Tensor:
+    """(N,) which places on lines along `axis` lie in pixels that are `wanted`, bool (R, Q), the first of which is `origin` (row, col)."""
+    x, y = placed(axis, along, across)
+    row, col = y.floor().long() - origin[0], x.floor().long() - origin[1]
+    height, width = wanted.shape
+    within = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    return within & wanted[row.clamp(0, height - 1), col.clamp(0, width - 1)]
 
 
 def place_of(line: Tensor, along: Tensor) -> Tensor:

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
-from torch_mcaa.edges.candidates import Segments, threshold
+from torch_mcaa.edges.candidates import brackets
 from torch_mcaa.edges.lines import Ask, Lines
-from torch_mcaa.edges.pieces import SAME, SHORT, Known, Numbered, Pieces, pieces_of, place_of
+from torch_mcaa.edges.pieces import SAME, SHORT, Known, Numbered, Pieces, inside, pieces_of, place_of
 
 _STEEPEST = 3.0
 _LINES = 400
@@ -111,20 +111,16 @@ def _opened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed:
     changed = (values[:, 1:] - values[:, :-1]).abs().amax(0) > pieces.tolerance
     probe, piece = changed.nonzero().unbind(1)
     line = pieces.line[piece]
-    key = torch.stack([line, (places[probe, piece] * 2**20).long(), torch.ones_like(line)], 1)
-    segments = Segments(
+    segments = brackets(
         crossings.axis,
         across[piece],
         places[probe, piece],
         places[probe + 1, piece],
         values[:, probe, piece],
         values[:, probe + 1, piece],
-        threshold(values[:, probe + 1, piece] - values[:, probe, piece]),
         grid.phase(line),
-        key,
-        line >= 0,
-        torch.zeros_like(line),
-        torch.zeros_like(apart[piece]),
+        line,
+        kind=1,
     )
     return joined([crossings, bisect(ask, segments, finest, seed)])
 
@@ -185,7 +181,7 @@ class _Walk:
             line = current.line + direction
             first, second = current.first + slope1, current.second + slope2
             middle, across = (first + second) / 2, self.grid.across(line)
-            go = (second - first > 1e-3) & self._inside(middle, across)
+            go = (second - first > 1e-3) & inside(self.wanted, self.origin, self.axis, middle, across)
             met = self.known.at(line, first, second, current.inside, current.tolerance, 0.05)
             self.reached.append(self.known.order[met[(met >= 0) & go]])
             if number == 0:
@@ -210,12 +206,6 @@ class _Walk:
             slope1, slope2 = one.place - current.first, two.place - current.second
             current = Pieces(line, one.place, two.place, one.before, (one.after + two.before) / 2, two.after)
         return moved
-
-    def _inside(self, along: Tensor, across: Tensor) -> Tensor:
-        x, y = (along, across) if self.axis == 0 else (across, along)
-        row, col = y.floor().long() - self.origin[0], x.floor().long() - self.origin[1]
-        inside = (row >= 0) & (row < self.wanted.shape[0]) & (col >= 0) & (col < self.wanted.shape[1])
-        return inside & self.wanted[row.clamp(0, self.wanted.shape[0] - 1), col.clamp(0, self.wanted.shape[1] - 1)]
 
     def _next(self, like: Pieces, across: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Crossings, Crossings]:
         """As `_meet`, but first within `_WITHIN` of the ends foretold."""
@@ -258,20 +248,16 @@ class _Walk:
         """Bisect the two ends of pieces, [places[0], places[1]] and [places[2], places[3]], with `values` (C, 4, N)."""
         count, line = len(across), self.grid.number(across)
         before, after = values[:, [0, 2]].flatten(1), values[:, [1, 3]].flatten(1)
-        low, lines = places[[0, 2]].flatten(), line.repeat(2)
-        segments = Segments(
+        lines = line.repeat(2)
+        segments = brackets(
             self.axis,
             across.repeat(2),
-            low,
+            places[[0, 2]].flatten(),
             places[[1, 3]].flatten(),
             before,
             after,
-            threshold(after - before),
             self.grid.phase(lines),
-            torch.stack([lines, (low * 2**20).long(), torch.zeros_like(lines)], 1),
-            lines >= 0,
-            torch.zeros_like(lines),
-            torch.zeros_like(low),
+            lines,
         )
         got = bisect(self.ask, segments, self.finest, self.seed)
         # one clear jump, or it is not the end of the piece

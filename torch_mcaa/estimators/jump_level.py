@@ -225,10 +225,10 @@ class Leveller:
             return crossings
         without, hit, cost = unfollowed(crossings, lines)
         if cost <= share * self.ask.left:
-            origin = self.cell.row - self.window.reach - 1, self.cell.col - self.window.reach - 1
-            before = self.ask.left
+            reach, before = self.window.reach + 1, self.ask.left
+            origin = self.cell.row - reach, self.cell.col - reach
             limit = (_TIMES * max(cost, self.took[crossings.axis]) + walk) / max(1, before)
-            wanted = self._widened(used & ~self.lost)
+            wanted = _widened(used & ~self.lost, reach)
             try:
                 with self.ask.keeping(1 - min(share, limit)):
                     crossings = complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
@@ -247,12 +247,10 @@ class Leveller:
         """The crossings with those of their edges that do not stand out, as far as a share of what is left pays for them."""
         # no further than there are samples: beyond, every edge ends, and none weighs anything
         reach = self.window.halo - 1
-        wanted = dilated(torch.nn.functional.pad(used & ~self.lost, (reach,) * 4), reach)
+        wanted, origin = _widened(used & ~self.lost, reach), (self.cell.row - reach, self.cell.col - reach)
         try:
             with self.ask.keeping(1 - share):
-                return continued(
-                    self.ask, crossings, lines, wanted, (self.cell.row - reach, self.cell.col - reach), self.finest, seed
-                )
+                return continued(self.ask, crossings, lines, wanted, origin, self.finest, seed)
         except Spent:
             return crossings
 
@@ -286,16 +284,17 @@ class Leveller:
 
     def reaching(self, segments: Segments, wanted: Tensor) -> Tensor:
         """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""
-        wide, reach = self._widened(wanted), self.window.reach + 1
+        reach = self.window.reach + 1
+        wide = _widened(wanted, reach)
         x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)
         row = (y.floor().long() - self.cell.row + reach).clamp(0, wide.shape[0] - 1)
         col = (x.floor().long() - self.cell.col + reach).clamp(0, wide.shape[1] - 1)
         return wide[row, col]
 
-    def _widened(self, wanted: Tensor) -> Tensor:
-        """The pixels within the filter's reach and one of those `wanted`, of the cell and as much around it."""
-        reach = self.window.reach + 1
-        return dilated(torch.nn.functional.pad(wanted, (reach,) * 4), reach)
+
+def _widened(wanted: Tensor, by: int) -> Tensor:
+    """The pixels up to so many off those `wanted` (h, w), and as many more on every side."""
+    return dilated(torch.nn.functional.pad(wanted, (by,) * 4), by)
 
 
 def _sizes(segments: Segments) -> Tensor:
