@@ -71,12 +71,12 @@ class History:
             share = None
         elif combine == "pooled":
             share = new.points / (new.points + picture.points[self.cell.window])
-        difference = new.value - picture.value[window]
+        difference = new.value - picture.value[window] if compared else None
         add(picture, self.cell, new, share, propagate)
         if new.unseen is not None:
             self.unseen = _mixed(self.unseen, new.unseen, share) if isinstance(share, float) else new.unseen
         self.weight += weight
-        if compared and isinstance(share, float):
+        if difference is not None and isinstance(share, float):
             self.blind = _mixed(self.blind, new.blind, share)
             floor = 0.0 if self.unseen is None else self.unseen
             reported = (picture.variance[window] - floor).clamp_min(0)

@@ -191,8 +191,10 @@ def unseen(value: Tensor, spp: float | Tensor) -> Tensor:
     hundredth of a sample's area; one over the number of pixels where they are fewer than a hundred, to bear each other out. A constant
     cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n^2: a standard error that falls as 1/n.
     """
-    low = torch.nan_to_num(value, nan=torch.inf, posinf=torch.inf, neginf=-torch.inf).amin((-2, -1), keepdim=True)
-    high = torch.nan_to_num(value, nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf).amax((-2, -1), keepdim=True)
+    low, high = (extreme[:, None, None] for extreme in torch.aminmax(value.flatten(1), dim=1))
+    if not bool((low.isfinite() & high.isfinite()).all()):
+        low = torch.nan_to_num(value, nan=torch.inf, posinf=torch.inf, neginf=-torch.inf).amin((-2, -1), keepdim=True)
+        high = torch.nan_to_num(value, nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf).amax((-2, -1), keepdim=True)
     span = torch.nan_to_num(high - low, nan=0.0, posinf=0.0, neginf=0.0)
     magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
     rounding = 64 * torch.finfo(value.dtype).eps

@@ -15,6 +15,20 @@ BLOCK = 32
 """Px: the side of a block."""
 
 
+def rectangles_of(cell: Cell) -> Tensor:
+    """(blocks, 4) int64: the row, column, height and width of each block of a cell, on the screen and row by row."""
+    rows, cols = torch.arange(0, cell.height, BLOCK), torch.arange(0, cell.width, BLOCK)
+    heights, widths = (cell.height - rows).clamp_max(BLOCK), (cell.width - cols).clamp_max(BLOCK)
+    shape = len(rows), len(cols)
+    planes = ((cell.row + rows)[:, None], cell.col + cols, heights[:, None], widths)
+    return torch.stack([plane.expand(shape) for plane in planes], -1).flatten(0, 1)
+
+
+def sizes_of(cell: Cell) -> Tensor:
+    """(blocks,) float64: the pixels of each block of a cell."""
+    return rectangles_of(cell)[:, 2:].prod(1).to(torch.float64)
+
+
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     """The block of the cell (S,), counted row by row, that each segment begins in, or the one that is nearest."""
     x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)

@@ -12,7 +12,7 @@ from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, sizes_of
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
 from torch_mcaa.estimators.sides import sides
@@ -83,7 +83,7 @@ class Corrector:
         self.plain = plain.to(torch.float64)
         self.work = Leveller(ask, cell, filter, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
-        self.blocks = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+        self.blocks, self.sizes = (-(-cell.height // BLOCK), -(-cell.width // BLOCK)), sizes_of(cell).to(allowed.device)
         self.most_steps = steps
 
     def run(self, finder: Finder) -> Corrected | None:
@@ -169,8 +169,7 @@ class Corrector:
 
     def _by_block(self, plane: Tensor) -> Tensor:
         """(blocks,): the sums of a plane (h, w) over each."""
-        size = torch.tensor([b.height * b.width for b in self.cell.blocks(BLOCK)], dtype=torch.float64, device=plane.device)
-        return tile_means(plane, BLOCK, BLOCK).flatten() * size
+        return tile_means(plane, BLOCK, BLOCK).flatten() * self.sizes
 
     def _judged(self, found: list[Segments], part: list[Tensor]) -> Tensor:
         """The verdicts on the blocks, those that were judged before included."""

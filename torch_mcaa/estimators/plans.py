@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK
+from torch_mcaa.estimators.blocks import BLOCK, sizes_of
 from torch_mcaa.estimators.jump_corrector import STEPS
 from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
@@ -62,7 +62,7 @@ def plans_of(
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
     `ample` evaluations a pixel if they need them for three lines.
     """
-    pixels = torch.tensor([block.height * block.width for block in cell.blocks(BLOCK)], dtype=torch.float64)
+    pixels = sizes_of(cell)
     spp = budget / float(pixels.sum())
     most = lines_for(spp)
     quiet = _quiet(cell, judged.verdict) & ~texture if plain else judged.verdict != Verdict.JUMPS

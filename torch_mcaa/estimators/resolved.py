@@ -18,7 +18,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Task, box3
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel
+from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of
 from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.estimators.parts import PLAIN, Part
 from torch_mcaa.estimators.suited import Suited
@@ -166,17 +166,15 @@ class Resolved:
 
     def _checked(self, cell: Cell, suited: list[Suited], value: Tensor, ask: Counted) -> Tensor:
         """(C, h, w): by blocks, the mean squared difference from another lattice in a few pixels where f is steep; +inf in blocks too small."""
-        blocks = cell.blocks(BLOCK)
         margin = self.filter.half_width - 0.5
         ring = math.ceil(margin)
-        size = torch.tensor([(b.row, b.col, b.height, b.width) for b in blocks])
-        row, col, height, width = size.unbind(1)
+        row, col, height, width = rectangles_of(cell).unbind(1)
         x, y, weights = self._other(suited, margin)
         first, last = torch.full_like(height, ring), torch.stack([height, width]) - ring - _CHECKED
         steepest = torch.stack([each.steepest for each in suited], 1).floor().long() - torch.stack([row, col]) - _CHECKED // 2
         down, right = torch.maximum(first, torch.minimum(steepest, last))
         at = (((corner)[:, None] + place).flatten().to(value.device) for corner, place in ((col + right, x), (row + down, y)))
-        theirs = ask(*at).view(len(value), len(blocks), -1).cpu().to(weights) @ weights.T
+        theirs = ask(*at).view(len(value), len(row), -1).cpu().to(weights) @ weights.T
         i = torch.arange(_CHECKED)
         rows, cols = (row + down - cell.row)[:, None, None] + i[:, None], (col + right - cell.col)[:, None, None] + i
         ours = value.cpu()[:, rows.clamp_max(cell.height - 1), cols.clamp_max(cell.width - 1)].flatten(2)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel
+from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of
 from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.grid import Cell
 
@@ -55,12 +55,12 @@ def steepness_of(ask: Counted, cell: Cell, grid: Tensor, seed: int) -> Steepness
     -4 sin^2(pi v d) times what it is itself, its mean aside. The places are at random: on the pilot's `grid` (C, h, w), which else tells mean
     and variance better, a tone of whole cycles a pixel is constant.
     """
-    blocks, device = cell.blocks(BLOCK), ask.invalid.device
+    blocks, device = rectangles_of(cell), ask.invalid.device
     index = torch.arange(_PLACES, device=device)
     block = torch.arange(len(blocks), device=device)[:, None]
     place = [rng.uniform(seed, _STREAM, block, index, axis, dtype=torch.float64) for axis in (0, 1)]
-    size = torch.tensor([(b.row, b.col, b.height, b.width) for b in blocks], device=device)[:, :, None]
-    row, col = size[:, 0] + place[0] * size[:, 2], size[:, 1] + place[1] * size[:, 3]
+    top, left, height, width = blocks.to(device)[:, :, None].unbind(1)
+    row, col = top + place[0] * height, left + place[1] * width
     right, down = torch.tensor([0, 1, -1, 0, 0]), torch.tensor([0, 0, 0, 1, -1])
     asked = [(_APART * step).to(device)[:, None, None] + place for step, place in ((right, col), (down, row))]
     values = ask(*(places.flatten() for places in asked)).to("cpu", torch.float64)
