@@ -14,7 +14,7 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.lines import Everywhere, Lines, Samples, Scattered, norm, summed
 from torch_mcaa.edges.pixels import Pixels
-from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.filters import Filter, SeparableFilter
 
 FINEST = 1.1 * 2.0**-14
 """Px: 14 halvings, the most that the estimators ask for."""
@@ -69,9 +69,9 @@ def scatter(samples: Everywhere, asked: Tensor | None = None) -> Scattered:
     return Scattered(samples.x, samples.y, samples.number, samples.row, samples.col, planes[:, asked], slot)
 
 
-def weighed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
+def weighed(samples: Scattered, filter: Filter, rows: Tensor, cols: Tensor, reach: int) -> Tensor:
     """(C, N) float64: the samples' weighted means."""
-    return summed(samples, profile, rows, cols, reach) / norm(samples, profile, reach)
+    return summed(samples, filter, rows, cols, reach) / norm(samples, filter, reach)
 
 
 def segments(

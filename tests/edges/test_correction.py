@@ -56,7 +56,7 @@ def exact_crossings(t: float, axis: int, samples: Everywhere, jumps: Tensor, fil
 def means(samples: Everywhere, filter: SeparableFilter, halo: int) -> Tensor:
     """(C, SIZE, SIZE) of the window's pixels."""
     rows, cols = (index.flatten() for index in torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij"))
-    return weighed(scatter(samples), filter.profile, rows + ROW, cols + COL, halo).unflatten(1, (SIZE, SIZE))
+    return weighed(scatter(samples), filter, rows + ROW, cols + COL, halo).unflatten(1, (SIZE, SIZE))
 
 
 def weight_sum(samples: Everywhere, filter: SeparableFilter) -> float:

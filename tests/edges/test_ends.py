@@ -46,7 +46,7 @@ def errors(filter: SeparableFilter, lines: int, axis: int) -> tuple[Tensor, Tens
     samples = sampled(rectangle, lines, SIZE, SIZE)
     view = View(3, 3, SIZE - 6, SIZE - 6, filter)
     rows, cols = (index.flatten() + 3 for index in torch.meshgrid(*(torch.arange(SIZE - 6),) * 2, indexing="ij"))
-    plain = weighed(scatter(samples), filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
+    plain = weighed(scatter(samples), filter, rows, cols, 3).view(SIZE - 6, SIZE - 6)
     corrected = plain + view.correction(exact(axis, samples), lines)[0][0]
     missed = view.ends(exact(1 - axis, samples), samples)[0]
     expected = truth(filter)[3:-3, 3:-3]
@@ -91,7 +91,7 @@ def test_a_whole_edge_along_the_lines(filter: SeparableFilter, place: float, axi
     some = crossings(1 - axis, lines, torch.full_like(lines, place), torch.ones(1, len(lines), dtype=torch.float64), samples)
     view = View(3, 3, SIZE - 6, SIZE - 6, filter)
     rows, cols = (index.flatten() + 3 for index in torch.meshgrid(*(torch.arange(SIZE - 6),) * 2, indexing="ij"))
-    plain = weighed(scatter(samples), filter.profile, rows, cols, 3).view(SIZE - 6, SIZE - 6)
+    plain = weighed(scatter(samples), filter, rows, cols, 3).view(SIZE - 6, SIZE - 6)
     expected = 1 - filter.profile_cdf(place - torch.arange(3, SIZE - 3, dtype=torch.float64) - 0.5)
     expected = (expected[:, None] if axis == 0 else expected).expand(SIZE - 6, SIZE - 6)
     assert float((plain - expected).abs().max()) > 1e-3

@@ -29,7 +29,7 @@ def test_weighed_is_the_sum_over_all_samples(filter: SeparableFilter) -> None:
     samples = sampled(two_channels, 5, size, size, row, col)
     reach = Window.halo_of(filter)
     rows, cols = torch.tensor([-1, 1, 0]), torch.tensor([-2, -3, -1])
-    found = weighed(scatter(samples), filter.profile, rows, cols, reach)
+    found = weighed(scatter(samples), filter, rows, cols, reach)
     x = (torch.arange(col, col + size)[:, None] + samples.x).expand(size, size, -1)
     y = (torch.arange(row, row + size)[:, None, None] + samples.y).expand(size, size, -1)
     for k, (i, j) in enumerate(zip(rows.tolist(), cols.tolist(), strict=True)):
@@ -40,13 +40,13 @@ def test_weighed_is_the_sum_over_all_samples(filter: SeparableFilter) -> None:
 
 def test_weighed_of_a_constant_is_the_constant() -> None:
     samples = sampled(lambda x, y: torch.full_like(x, 3.0), 7)
-    found = weighed(scatter(samples), mcaa.Gaussian(0.5).profile, torch.tensor([5, 6]), torch.tensor([5, 4]), 3)
+    found = weighed(scatter(samples), mcaa.Gaussian(0.5), torch.tensor([5, 6]), torch.tensor([5, 4]), 3)
     assert float((found - 3).abs().max()) < 10 * ROUNDING
 
 
 def test_weighed_sums_float32_samples_in_float64() -> None:
     samples = sampled(lambda x, y: torch.full_like(x, 0.1, dtype=torch.float32), 5)
-    found = weighed(scatter(samples), mcaa.Gaussian(0.5).profile, torch.tensor([5]), torch.tensor([5]), 3)
+    found = weighed(scatter(samples), mcaa.Gaussian(0.5), torch.tensor([5]), torch.tensor([5]), 3)
     assert found.dtype == torch.float64
     assert float((found - float(torch.tensor(0.1, dtype=torch.float32))).abs()) < ROUNDING
 

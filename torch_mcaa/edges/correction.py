@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.missed import missed
 from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pixels import Pixels
-from torch_mcaa.filters.base import SeparableFilter
+from torch_mcaa.filters.base import Filter, SeparableFilter
 
 _AT_ONCE = 1 << 11
 
@@ -25,16 +26,16 @@ class Window:
         margin: what the `Pixels` have to have.
     """
 
-    def __init__(self, filter: SeparableFilter, device: torch.device) -> None:
+    def __init__(self, filter: Filter, device: torch.device) -> None:
         self.filter, self.device = filter, device
-        self.reach, self.halo = math.ceil(filter.half_width + 0.5), self.halo_of(filter)
+        self.reach, self.halo = math.ceil(max(filter.radius) + 0.5), self.halo_of(filter)
         self.margin = 2 * self.reach + 3
         self.offsets = torch.arange(-self.reach, self.reach + 1, device=device)
 
     @staticmethod
-    def halo_of(filter: SeparableFilter) -> int:
+    def halo_of(filter: Filter) -> int:
         """How many pixels around another a filter needs samples in, and their neighbours on the lines."""
-        return math.ceil(filter.half_width - 0.5) + 1
+        return math.ceil(max(filter.radius) - 0.5) + 1
 
     def correction(self, pixels: Pixels, crossings: Crossings, norm: float) -> tuple[Tensor, Tensor, Tensor]:
         """(C, P): the correction for lines with samples 1 px apart whose weights sum to `norm`, and its variance from the brackets.
@@ -51,12 +52,9 @@ class Window:
             part = crossings.take(at)
             along, across = part.place, part.across
             near, beside = along.floor().long()[:, None] + self.offsets, across.floor().long()[:, None] + self.offsets
-            d, density = self._missed(along, part.phase, near)
-            side = self.filter.profile(across[:, None] - beside - 0.5)
-            if part.axis == 0:
-                index, weight, doubt = pair(pixels, beside, near), outer(side, d / norm), outer(side, density)
-            else:
-                index, weight, doubt = pair(pixels, near, beside), outer(d / norm, side), outer(density, side)
+            index = pair(pixels, beside, near) if part.axis == 0 else pair(pixels, near, beside)
+            weight, doubt = self._weights(part, along[:, None] - near - 0.5, across[:, None] - beside - 0.5)
+            weight /= norm
             size = part.jump.abs().amax(0).to(torch.float64)
             seen[0].index_add_(0, index, (size[:, None, None] * doubt).abs_().view(-1))
             doubt *= (part.width / (math.sqrt(12) * norm))[:, None, None]
@@ -74,10 +72,12 @@ class Window:
         for at in slices(len(size)):
             x, y = (place[at] for place in places)
             cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
-            across_x, across_y = (
-                self.filter.profile(place[:, None] - pixel - 0.5).abs() for place, pixel in ((x, cols), (y, rows))
-            )
-            total.index_add_(0, pair(pixels, rows, cols), outer(across_y * size[at, None], across_x).view(-1))
+            dx, dy = x[:, None] - cols - 0.5, y[:, None] - rows - 0.5
+            if isinstance(self.filter, SeparableFilter):
+                weight = outer(self.filter.profile(dy).abs() * size[at, None], self.filter.profile(dx).abs())
+            else:
+                weight = self.filter(dx[:, None], dy[:, :, None]).abs() * size[at, None, None]
+            total.index_add_(0, pair(pixels, rows, cols), weight.view(-1))
         return total[:-1]
 
     def reaching(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> Tensor:
@@ -91,16 +91,19 @@ class Window:
         """(channels, P + 1), the last for what lies in none of the pixels."""
         return torch.zeros(channels, len(pixels) + 1, dtype=torch.float64, device=self.device)
 
-    def _missed(self, t: Tensor, phase: Tensor, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, P): D - D_inf W at t for the pixels (N, P), and |w(t)|."""
-        k = torch.arange(-self.reach - 1, self.reach + 2, device=self.device)
-        offset = t[:, None] - pixels - 0.5
+    def _weights(self, crossings: Crossings, along: Tensor, across: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, K, K), rows and columns: (D - D_inf W) w and |w|, up to the sign of w across, at crossings so far from the pixels' centres (N, K)."""
         # the samples that reach a pixel lie at the same distances from every one
-        distances = phase[:, None] - 0.5 + k
-        weight = self.filter.profile(distances)
-        past = (weight[:, None] * (distances[:, None] > offset[..., None])).sum(-1)
-        beyond = 1 - self.filter.profile_cdf(offset)
-        return beyond * weight.sum(-1, keepdim=True) - past, self.filter.profile(offset).abs()
+        points = crossings.phase[:, None] - 0.5 + torch.arange(-self.reach - 1, self.reach + 2, device=self.device)
+        axis, filter = crossings.axis, self.filter
+        if not isinstance(filter, SeparableFilter):
+            dx, dy = (along[:, None], across[:, :, None]) if axis == 0 else (across[:, None], along[:, :, None])
+            return missed(filter, axis, along, across, points, 1.0), filter(dx, dy)
+        weight = filter.profile(points)
+        past = (weight[:, None] * (points[:, None] > along[..., None])).sum(-1)
+        beyond = (1 - filter.profile_cdf(along)) * weight.sum(-1, keepdim=True) - past
+        side, density = filter.profile(across), filter.profile(along).abs()
+        return (outer(side, beyond), outer(side, density)) if axis == 0 else (outer(beyond, side), outer(density, side))
 
 
 def slices(count: int) -> Iterator[slice]:

@@ -14,9 +14,11 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window, outer, pair, slices
 from torch_mcaa.edges.lines import Lines, norm
+from torch_mcaa.edges.missed import missed
 from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
 from torch_mcaa.edges.pixels import Pixels
+from torch_mcaa.filters.base import SeparableFilter
 
 _FLAT = 0.1
 """The slope below which an edge lies along lines. Steeper ones cross them often enough for L to be smooth."""
@@ -27,23 +29,27 @@ def ends(window: Window, pixels: Pixels, crossings: Crossings, lines: Lines) -> 
     total = window.zeros(pixels, len(crossings.before))
     part = crossings.take(_flat(crossings, lines))
     part = part.take(window.reaching(pixels, part.axis, part.place, part.across))
-    profile = window.filter.profile
+    filter = window.filter
     across = lines.y if crossings.axis == 1 else lines.x
     # the lines lie at the same distances from every pixel's centre
     line = torch.sort(
         (across[:, None] + torch.arange(-window.reach - 1, window.reach + 2, device=window.device) - 0.5).flatten()
     ).values
-    scale = norm(lines, profile, window.halo)
-    weight = profile(line) / lines.count
-    beyond = torch.cat([weight.flip(0).cumsum(0).flip(0), weight.new_zeros(1)])
+    scale = norm(lines, filter, window.halo)
     for at in slices(len(part)):
         some = part.take(at)
         near, beside = some.place.floor().long()[:, None] + window.offsets, some.across.floor().long()[:, None] + window.offsets
-        offset = some.place[:, None] - near - 0.5
-        missed = (1 - window.filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
-        side = profile(some.across[:, None] - beside - 0.5) / scale
+        offset, side = some.place[:, None] - near - 0.5, some.across[:, None] - beside - 0.5
         index = pair(pixels, near, beside) if crossings.axis == 1 else pair(pixels, beside, near)
-        weights = outer(missed, side) if crossings.axis == 1 else outer(side, missed)
+        if isinstance(filter, SeparableFilter):
+            weight = filter.profile(line) / lines.count
+            beyond = torch.cat([weight.flip(0).cumsum(0).flip(0), weight.new_zeros(1)])
+            lacking = (1 - filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
+            profile = filter.profile(side)
+            weights = outer(lacking, profile) if crossings.axis == 1 else outer(profile, lacking)
+        else:
+            weights = missed(filter, crossings.axis, offset, side, line[None], 1 / lines.count)
+        weights /= scale
         for channel, jump in enumerate(some.jump.to(torch.float64)):
             total[channel].index_add_(0, index, (jump[:, None, None] * weights).view(-1))
     return total[:, :-1]

@@ -14,6 +14,8 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from torch_mcaa.filters.base import Filter
+
 _AT_ONCE = 1 << 21
 """Weighed samples held at a time."""
 Ask = Callable[[Tensor, Tensor], Tensor]
@@ -175,25 +177,23 @@ def scattered(ask: Ask, x: Tensor, y: Tensor, row: int, col: int, asked: Tensor,
     return Scattered(x, y, number, row, col, values, slot)
 
 
-def taps(profile: Callable[[Tensor], Tensor], places: Tensor, reach: int) -> Tensor:
-    """(n, 2 reach + 1): the filter along one axis at the offsets `places` in the pixels up to `reach` off, from a pixel's centre."""
-    return profile(places[:, None] + torch.arange(-reach, reach + 1, device=places.device) - 0.5)
+def weights(lines: Lines, filter: Filter, reach: int) -> Tensor:
+    """(K, K, n): w of the samples of the pixels up to `reach` rows and columns off from a pixel's centre."""
+    offsets = torch.arange(-reach, reach + 1, device=lines.x.device) - 0.5
+    return filter(offsets[:, None] + lines.x, offsets[:, None, None] + lines.y)
 
 
-def norm(lines: Lines, profile: Callable[[Tensor], Tensor], reach: int) -> float:
+def norm(lines: Lines, filter: Filter, reach: int) -> float:
     """What the weights of the samples about any pixel sum to: about `lines.count`, by which they are divided."""
-    wx, wy = (taps(profile, place, reach).sum(1) for place in (lines.x, lines.y))
-    return float((wx * wy).sum())
+    return float(weights(lines, filter, reach).sum())
 
 
-def summed(samples: Scattered, profile: Callable[[Tensor], Tensor], rows: Tensor, cols: Tensor, reach: int) -> Tensor:
+def summed(samples: Scattered, filter: Filter, rows: Tensor, cols: Tensor, reach: int) -> Tensor:
     """(C, N) float64: the samples' weighted sums about the centres of the pixels (rows, cols), counted on the screen.
 
-    profile: the filter along either axis; it is 0 more than `reach` pixels off, where all pixels were asked.
+    filter: it is 0 more than `reach` pixels off, where all pixels were asked.
     """
-    wx, wy = (taps(profile, place, reach) for place in (samples.x, samples.y))
-    offsets = torch.arange(-reach, reach + 1, device=rows.device)
-    weight = (wy.T[:, None] * wx.T).flatten(1)
+    offsets, weight = torch.arange(-reach, reach + 1, device=rows.device), weights(samples, filter, reach).flatten(1)
     size = max(1, _AT_ONCE // weight.shape[1])
     parts = [_sums(samples, weight, offsets, *part) for part in zip(rows.split(size), cols.split(size), strict=True)]
     return torch.cat(parts, 1)

@@ -60,7 +60,7 @@ class Auto(Estimator):
 
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
     Where it is noise, has detail everywhere, or jumps more often than can be followed: `Shared(Lattice())` with all evaluations that
-    are left. `Rendering.model` says which. Filters that do not separate, do not end, or end in a step and are not whole pixels wide, and
+    are left. `Rendering.model` says which. Filters that do not end, or end in a step and are not products that are whole pixels wide, and
     fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout.
 
     Not labelled unbiased: what is done is decided by the samples.
@@ -114,7 +114,7 @@ class Auto(Estimator):
 def _can_locate(task: Task) -> bool:
     """Whether the mean of the lines is good once jumps are located: where w ends in a step, lines must lie alike about its sides."""
     filter = task.filter
-    if not isinstance(filter, SeparableFilter) or math.isinf(filter.half_width):
+    if math.isinf(max(filter.radius)):
         return False
     return not ends_in_step(filter) or sides(filter) is not None
 
@@ -158,11 +158,10 @@ class AutoRound(Round):
         self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
         self.most, self.wanted, self.jumps = most, wanted, jumps
         self.per_pixel = float(spp)
-        self.first = number == 0
-        if wanted is not None and jumps is not False:
-            assert isinstance(task.filter, SeparableFilter)
-            self.bandwidth = Bandwidth(task.filter)
-            self.resolved = Resolved(task, self.bandwidth, wanted, self.parts.seed)
+        self.resolved: Resolved | None = None
+        # what f's frequencies ask for is known of products alone
+        if wanted is not None and jumps is not False and number == 0 and isinstance(task.filter, SeparableFilter):
+            self.resolved = Resolved(task, Bandwidth(task.filter), wanted, self.parts.seed)
 
     def points(self, cell: Cell) -> int:
         return self.spp * cell.height * cell.width
@@ -179,7 +178,6 @@ class AutoRound(Round):
             part = self.parts.sampled(cell, ask.left // pixels, ask.left)
             return self.parts.joined(cell, [(cell, part)], ask).estimate()
         audits = 0 if self.plain else pixels
-        assert isinstance(self.task.filter, SeparableFilter)
         second = 2 * Window.halo_of(self.task.filter) + 1
         judged, done = seen.judged, seen.done
         smooth = torch.zeros_like(seen.texture)
@@ -216,8 +214,8 @@ class AutoRound(Round):
         parts = self.parts
         x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64) for axis in (0, 1))
         # a closed screen has no samples about it
-        whole = self.wanted is not None and self.first and self.task.boundary == "extend"
-        ring = max(_RING, self.resolved.halo) if whole else _RING
+        resolved = self.resolved if self.task.boundary == "extend" else None
+        ring = _RING if resolved is None else max(_RING, resolved.halo)
         row, col, bottom, right = cell.row - ring, cell.col - ring, cell.row + cell.height + ring, cell.col + cell.width + ring
         if self.task.boundary != "extend":
             row, col = max(row, 0), max(col, 0)
@@ -245,17 +243,18 @@ class AutoRound(Round):
             judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         counts, done, taken = None, [], 0
-        if self.wanted is not None and self.first:
+        if self.resolved is not None:
+            assert self.wanted is not None
             steep = steepness_of(ask, cell, values, parts.seed)
             allowed = self.wanted.allowed(steep.mean)
-            counts = self.bandwidth.points(steep.frequency, steep.std, allowed)
-            if whole and not parts.random:
+            counts = self.resolved.bandwidth.points(steep.frequency, steep.std, allowed)
+            if resolved is not None and not parts.random:
                 assert self.most is not None
                 # beside an edge lines are better, that meet what the pilot missed of it
                 jumps = bool((judged.verdict == Verdict.JUMPS).any())
                 smooth = judged.verdict == Verdict.CONTINUOUS if jumps else judged.verdict != Verdict.NOISE
-                chosen = suited(self.bandwidth, steep, allowed, smooth.cpu())
-                done, taken = self.resolved.parts(cell, chosen, grid, ask, (self.most - self.spp) * cell.height * cell.width)
+                chosen = suited(resolved.bandwidth, steep, allowed, smooth.cpu())
+                done, taken = resolved.parts(cell, chosen, grid, ask, (self.most - self.spp) * cell.height * cell.width)
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
         steps = [
             torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)

@@ -11,7 +11,6 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.auto import AutoRound
 from torch_mcaa.estimators.base import Estimator, Round, Task
 from torch_mcaa.estimators.parts import MODELS, cell_of, located
-from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.patterns import Lattice
 
 _FEWEST = 6
@@ -57,10 +56,8 @@ class JumpCorrected(Estimator):
         return located(model)
 
     def check(self, task: Task) -> None:
-        if not isinstance(task.filter, SeparableFilter) or math.isinf(task.filter.half_width):
-            raise McaaError(
-                f"JumpCorrected needs a filter that is a product of two profiles of finite width, got {task.filter}; use Shared()"
-            )
+        if math.isinf(max(task.filter.radius)):
+            raise McaaError(f"JumpCorrected needs a filter of finite width, got {task.filter}; use Shared()")
 
     def bias(self, task: Task) -> tuple[str, ...]:
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)

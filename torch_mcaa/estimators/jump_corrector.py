@@ -16,7 +16,7 @@ from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, sizes_of
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
 from torch_mcaa.estimators.sides import sides
-from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell
 
 JUDGED = 24
@@ -68,7 +68,7 @@ class Corrector:
         self,
         ask: Counted,
         cell: Cell,
-        filter: SeparableFilter,
+        filter: Filter,
         seed: int,
         base: Lines,
         plain: Tensor,

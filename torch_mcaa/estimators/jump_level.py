@@ -25,7 +25,7 @@ from torch_mcaa.estimators.blocks import BLOCK, by_pixel, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.regular import regular
 from torch_mcaa.estimators.sides import sides
-from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
@@ -96,7 +96,7 @@ class Leveller:
         lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling.
     """
 
-    def __init__(self, ask: Counted, cell: Cell, filter: SeparableFilter, seed: int, plain: Tensor) -> None:
+    def __init__(self, ask: Counted, cell: Cell, filter: Filter, seed: int, plain: Tensor) -> None:
         self.ask, self.cell, self.seed, self.plain = ask, cell, seed, plain
         self.window = Window(filter, plain.device)
         self.finest, self.lost = 0.0, torch.zeros_like(plain[0], dtype=torch.bool)
@@ -158,9 +158,9 @@ class Leveller:
         for first in range(0, count, step):
             some = slice(first, first + step)
             samples = scattered(self.ask.coded if coded else self.ask, x[some], y[some], row, col, asked, number, coded)
-            plain += summed(samples, window.filter.profile, pixels.rows + cell.row, pixels.cols + cell.col, halo)
+            plain += summed(samples, window.filter, pixels.rows + cell.row, pixels.cols + cell.col, halo)
             finder.look(samples, first)
-        plain /= norm(lines, window.filter.profile, halo)
+        plain /= norm(lines, window.filter, halo)
         found = finder.found()
         if coded:
             found = [told(self.cell, without(s, self.smooth), self.deciding) for s in found]
@@ -195,7 +195,7 @@ class Leveller:
         if pixels is None or plain is None:
             pixels = self.pixels(self.reached([(c.place, c.across) for c in every]) & wanted)
             plain = self.plain[:, pixels.rows, pixels.cols]
-        scale = norm(lines, window.filter.profile, window.halo)
+        scale = norm(lines, window.filter, window.halo)
         corrections, spreads, densities = zip(*(window.correction(pixels, c, scale) for c in every), strict=True)
         # now that all is known, the mixture where both axes were followed
         share, open_ = pixels.of(axes.pixels, axes.share, 0.0), pixels.of(axes.pixels, axes.open, True)

@@ -21,7 +21,6 @@ from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.lattice_weights import Geometry
 from torch_mcaa.estimators.owner import Owner
 from torch_mcaa.estimators.shared_lattice import LatticeRound, Look
-from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import width_of
 from torch_mcaa.tolerance import FEW_SHIFTS, Tolerance
@@ -167,7 +166,6 @@ class Parts:
         jumping: bool (blocks,), those of the cell that are known to jump.
         """
         task = self.task
-        assert isinstance(task.filter, SeparableFilter)
         pixels = sum(each.height * each.width for each in rectangles)
         while count > FEWEST and (count + self.audited) * pixels > budget:
             count -= 2
@@ -264,7 +262,6 @@ class Parts:
 
         invalid: of the cell and a pixel around it, of which `inner` is the cell.
         """
-        assert isinstance(self.task.filter, SeparableFilter)
         halo = Window.halo_of(self.task.filter)
         allowed = ~dilated(invalid > 0, halo)[inner]
         if self.task.boundary != "extend":

@@ -9,13 +9,16 @@ import torch
 from torch_mcaa.filters import Filter, SeparableFilter
 
 _CUT = 0.01
-"""What w may have at its sides, in parts of what it has in the middle, to go to 0 there."""
+"""What w may have at its sides, in parts of the most it has, to go to 0 there."""
+_PLACES = 65
+"""Along either axis, at which that is looked at; odd, for the middle."""
 
 
-def ends_in_step(filter: SeparableFilter) -> bool:
+def ends_in_step(filter: Filter) -> bool:
     """Whether w does not go to 0 at its sides."""
-    middle, side = filter.profile(torch.tensor([0.0, filter.half_width], dtype=torch.float64)).abs().tolist()
-    return side >= _CUT * middle
+    x, y = (torch.linspace(-radius, radius, _PLACES, dtype=torch.float64) for radius in filter.radius)
+    size = filter(x, y[:, None]).detach().abs()
+    return float(torch.cat([size[0], size[-1], size[:, 0], size[:, -1]]).max()) >= _CUT * float(size.max())
 
 
 def sides(filter: Filter) -> float | None:

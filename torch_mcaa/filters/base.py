@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+import numpy as np
+import torch
 from torch import Tensor
 
 
@@ -35,6 +38,22 @@ class Filter(ABC):
     @abstractmethod
     def __call__(self, dx: Tensor, dy: Tensor) -> Tensor:
         """w(dx, dy), in 1/px²."""
+
+    def beyond(self, dx: Tensor, dy: Tensor, axis: int) -> Tensor:
+        """The integral of w along x (`axis` 0) or y (1) from (dx, dy) on, in 1/px.
+
+        By Gauss-Legendre rules of 8 nodes on panels of a quarter of a pixel or less, unless the filter says otherwise.
+        """
+        radius = self.radius[axis]
+        nodes, weights = np.polynomial.legendre.leggauss(8)
+        from_ = (dx if axis == 0 else dy).clamp(-radius, radius)
+        panels = math.ceil(8 * radius)
+        step, total = (radius - from_) / panels, torch.zeros(())
+        for panel in range(panels):
+            for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+                place = from_ + step * (panel + (1 + node) / 2)
+                total = total + weight / 2 * (self(place, dy) if axis == 0 else self(dx, place))
+        return step * total
 
     @abstractmethod
     def sample(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -86,6 +105,10 @@ class SeparableFilter(Filter):
 
     def __call__(self, dx: Tensor, dy: Tensor) -> Tensor:
         return self.profile(dx) * self.profile(dy)
+
+    def beyond(self, dx: Tensor, dy: Tensor, axis: int) -> Tensor:
+        along, across = (dx, dy) if axis == 0 else (dy, dx)
+        return (1 - self.profile_cdf(along)) * self.profile(across)
 
     def sample(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         dx, sign_x = self.profile_sample(u)

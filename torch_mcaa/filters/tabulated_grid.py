@@ -51,6 +51,23 @@ class TabulatedGrid(Filter):
     def __call__(self, dx: Tensor, dy: Tensor) -> Tensor:
         return self._interpolate(self._values.to(dx), dx, dy)
 
+    def beyond(self, dx: Tensor, dy: Tensor, axis: int) -> Tensor:
+        values, spacing = (self._values, self._spacing_x) if axis == 0 else (self._values.T, self._spacing_y)
+        along, across = (dx, dy) if axis == 0 else (dy, dx)
+        rows, columns = values.shape
+        # of each row the integral from a sample on, and half the samples' spacing times what they are
+        half = values * (spacing / 2)
+        rest = torch.cat([(half[:, :-1] + half[:, 1:]).flip(1).cumsum(1).flip(1), half.new_zeros(rows, 1)], 1).to(dx)
+        half, (column, s) = half.to(dx), _cell(along, self._radius, spacing, columns)
+
+        def of(row: Tensor) -> Tensor:
+            # to the next sample
+            end = torch.lerp(half[row, column], half[row, column + 1], s)
+            return rest[row, column + 1] + (1 - s) * (end + half[row, column + 1])
+
+        row, t = _cell(across, self._radius, 2 * self._radius / (rows - 1), rows)
+        return torch.where((across.abs() <= self._radius) & (along < self._radius), torch.lerp(of(row), of(row + 1), t), 0)
+
     def pdf(self, dx: Tensor, dy: Tensor) -> Tensor:
         """The bilinear interpolant q of the |samples|, divided by its integral: see the class."""
         return self._interpolate(self._values.to(dx).abs(), dx, dy) / self._marginal.total
