@@ -1,4 +1,6 @@
-"""For a texture the layer's limit is a filter: `kornia.filters.filter2d` with the exactly integrated kernel, in value and in gradient."""
+"""For a texture the layer is a filter, and its samples' limit too: `kornia.filters.filter2d` with the exactly integrated kernel, in value and in
+gradient.
+"""
 
 from __future__ import annotations
 
@@ -50,13 +52,34 @@ def test_the_truth_by_filter2d_is_the_one_by_matrices(size: tuple[int, int], nam
 @every_interpolation
 @every_filter
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared()], ids=repr)
-def test_values_within_their_standard_error(
-    estimator: mcaa.Shared, size: tuple[int, int], name: str, interpolation: Interpolation
-) -> None:
+def test_the_layer_by_default(size: tuple[int, int], name: str, interpolation: Interpolation) -> None:
+    """Values and gradients of it, of `render` and of `resize`, to rounding."""
+    texels, grad = image(2, 24, 24).requires_grad_(), image(2, *size, seed=1) - 0.5
+    expected = filtered(texels, size, PROFILES[name], interpolation)
+    (slope,) = torch.autograd.grad((expected * grad).sum(), texels)
+    default = mcaa.Supersampler(size, filter=FILTERS[name]).double()
+    pictures = [default(mcaa.Texture(texels, interpolation)), mcaa.resize(texels, size, interpolation, filter=FILTERS[name])]
+    if interpolation == "bilinear":
+        pictures.append(default(texels[None])[0])
+    for picture in pictures:
+        torch.testing.assert_close(picture, expected, rtol=0, atol=1e-13)
+        (found,) = torch.autograd.grad((picture * grad).sum(), texels)
+        torch.testing.assert_close(found, slope, rtol=0, atol=1e-13)
+    single = mcaa.render(mcaa.Texture(texels.detach().float(), interpolation), size, filter=FILTERS[name], progress=False)
+    assert (
+        float((single.image - filtered(texels.detach().float().double(), size, PROFILES[name], interpolation)).abs().max()) < 6e-8
+    )
+
+
+@every_interpolation
+@every_filter
+@pytest.mark.parametrize("size", SIZES)
+def test_values_within_their_standard_error(size: tuple[int, int], name: str, interpolation: Interpolation) -> None:
     texture = mcaa.Texture(image(2, 24, 24), interpolation)
-    picture = layer(name, size, estimator=estimator, spp=64)(texture)
-    rendered = mcaa.render(texture, size, filter=FILTERS[name], estimator=estimator, spp=64, dtype=torch.float64, progress=False)
+    picture = layer(name, size, spp=64)(texture)
+    rendered = mcaa.render(
+        texture, size, filter=FILTERS[name], estimator=mcaa.Shared(), spp=64, dtype=torch.float64, progress=False
+    )
     assert torch.equal(picture, rendered.image)
     z = (picture - filtered(texture.image, size, PROFILES[name], interpolation)) / rendered.stderr
     assert float(z.abs().max()) < quantile(z.numel())

@@ -67,9 +67,10 @@ def test_resize(interpolation: Any, align_corners: bool | None) -> None:
 
 def test_area_is_the_mean_over_each_pixel() -> None:
     src = pictures(2, 3, 20, 24)
-    theirs = kornia_transform.resize(src, (5, 6), "area")
+    torch.testing.assert_close(mcaa.resize(src, (5, 6), "area"), kornia_transform.resize(src, (5, 6), "area"), rtol=0, atol=1e-13)
+    ours, theirs = mcaa.resize(src, (7, 11), "area"), mcaa.resize(src, (7, 11), "area", estimator=mcaa.Shared(), spp=257)
     # steps of 1 against 257 samples
-    torch.testing.assert_close(mcaa.resize(src, (5, 6), "area", spp=257), theirs, rtol=0, atol=0.02)
+    torch.testing.assert_close(ours, theirs, rtol=0, atol=0.02)
 
 
 @pytest.mark.parametrize("side", ["short", "long", "vert", "horz"])
@@ -91,9 +92,24 @@ def test_no_aliasing_under_minification() -> None:
     shrink = torch.tensor([[[0.125, 0.0, 0.0], [0.0, 0.125, 0.0]]], dtype=torch.float64)
     inner = (..., slice(4, -4), slice(4, -4))
     theirs = kornia_transform.warp_affine(tone, shrink, (32, 32))[inner]
-    ours = mcaa.warp_affine(tone, shrink, (32, 32), spp=64)[inner]
+    ours = mcaa.warp_affine(tone, shrink, (32, 32))[inner]
+    sampled = mcaa.warp_affine(tone, shrink, (32, 32), estimator=mcaa.Shared(), spp=64)[inner]
     assert float(theirs.square().mean().sqrt()) > 0.4
-    assert float(ours.square().mean().sqrt()) < 0.02
+    assert float(sampled.square().mean().sqrt()) < 0.02
+    # what the cut at 5 std leaves
+    assert float(ours.abs().max()) < 1e-6
+
+
+def test_what_moves_and_scales_is_exact() -> None:
+    """A shift by whole pixels, a mirror and a scale of 1/2, against pictures made of the same texels; whatever the seed."""
+    src = pictures(2, 3, 20, 24)
+    plain = mcaa.resize(src, (20, 24))
+    shifted = mcaa.warp_affine(src, torch.tensor([[[1.0, 0.0, 3.0], [0.0, 1.0, -2.0]]]), (20, 24), padding_mode="border")
+    torch.testing.assert_close(shifted[..., :18, 3:], plain[..., 2:, :21], rtol=0, atol=1e-13)
+    mirrored = mcaa.warp_affine(src, torch.tensor([[[-1.0, 0.0, 23.0], [0.0, 1.0, 0.0]]]), (20, 24), padding_mode="border", seed=5)
+    torch.testing.assert_close(mirrored, plain.flip(-1), rtol=0, atol=1e-13)
+    halved = mcaa.warp_affine(src, torch.tensor([[[0.5, 0.0, -0.25], [0.0, 0.5, -0.25]]]), (10, 12), padding_mode="border")
+    torch.testing.assert_close(halved, mcaa.resize(src, (10, 12)), rtol=0, atol=1e-13)
 
 
 def test_gradients() -> None:

@@ -66,10 +66,10 @@ class History:
         if self.latest is not None and self.latest.outgrows(new.value, picture.value[window]):
             self._begin_with(self.latest, picture)
         weight = self._weight_of(new, points)
-        share: float | Tensor | None = weight / (self.weight + weight)
-        if self.weight == 0 or combine == "discard_pilot":
-            share = None
-        elif combine == "pooled":
+        share: float | Tensor | None = None
+        if self.weight and combine == "fixed":
+            share = weight / (self.weight + weight)
+        elif self.weight and combine == "pooled":
             share = new.points / (new.points + picture.points[self.cell.window])
         difference = new.value - picture.value[window] if compared else None
         add(picture, self.cell, new, share, propagate)

@@ -130,6 +130,9 @@ class Rounds:
             active = [index for index in asked if self.tolerance is None or not self._met(index)]
             if not active:
                 return "tolerance"
+            if self.task.integrand.evaluations == before:
+                # nothing was asked of f, and another round would be the same
+                return "spp"
             wanted = {index: self._needed(index) for index in active} if self.tolerance is not None else None
             asked = self._affordable(active, wanted, self.spp * pixels - self._spent)
             if not asked:

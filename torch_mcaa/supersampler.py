@@ -19,6 +19,7 @@ from torch_mcaa.render import render
 from torch_mcaa.replay.autocast import Autocast
 from torch_mcaa.replay.function import Replayed
 from torch_mcaa.replay.gradients import Replay
+from torch_mcaa.replay.of_texels import OfTexels
 from torch_mcaa.replay.plan import followed, plan
 from torch_mcaa.texture import Texture
 
@@ -31,6 +32,8 @@ class Supersampler(torch.nn.Module):
     (parameters of a module, tensors of a closure), and, with the derivative moved onto the filter, with respect to an `extent`, the
     `transform` of a `Texture` and the std of a `Gaussian`. The forward pass keeps no tape: the backward pass evaluates f again, in blocks, so
     memory does not grow with `spp`. What f reads must not change between the two, and f must not draw random numbers.
+
+    A `Texture` whose rows and columns are the screen's, such as those of a batch, is exact under `Auto()`, and so is the gradient of its texels.
 
     With `estimator=Shared(Lattice())` and `decorrelate=False` the backward pass has the forward's points, and its gradient with respect to
     what f uses is the exact derivative of the returned value.
@@ -141,7 +144,7 @@ class Supersampler(torch.nn.Module):
             task = self._task(f, seed, dtype, device)
             replay = self._replay(task, autocast) if torch.is_grad_enabled() else None
             function = autocast.of(f)
-            # a texture jumps at its sides alone
+            # a texture is exact, or jumps at its sides alone
             if self.discontinuities and isinstance(self.estimator, Auto | JumpCorrected) and not isinstance(f, Texture):
                 function = followed(task, function)
             picture = self._render(function, self.size, seed, dtype, device)
@@ -168,10 +171,11 @@ class Supersampler(torch.nn.Module):
         screen = Screen.of(self.size, self._extent())
         return task_of(f, screen, self.filter, self.boundary, "raise", seed, dtype, device, self.extent is None)
 
-    def _replay(self, task: Task, autocast: Autocast) -> Replay:
+    def _replay(self, task: Task, autocast: Autocast) -> Replay | OfTexels:
         extent = self.extent
         wanted = extent if isinstance(extent, Tensor) and extent.requires_grad else None
-        return plan(task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities))
+        exact = OfTexels.of(task, wanted) if isinstance(self.estimator, Auto) else None
+        return exact or plan(task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities))
 
     def _extent(self) -> Any:
         return self.extent.tolist() if isinstance(self.extent, Tensor) else self.extent

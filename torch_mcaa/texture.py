@@ -18,8 +18,8 @@ Interpolation = Literal["nearest", "bilinear", "bicubic"]
 Wrap = Literal["zeros", "border", "repeat", "mirror"]
 
 _FULL_SCALE = {torch.uint8: 255, torch.uint16: 65535, torch.bool: 1, torch.float16: 1, torch.bfloat16: 1}
-# Texels read along one axis, counted from the last whose centre (nearest: left edge) is not beyond the point.
-_TAPS: dict[str, tuple[int, ...]] = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
+TAPS: dict[str, tuple[int, ...]] = {"nearest": (0,), "bilinear": (0, 1), "bicubic": (-1, 0, 1, 2)}
+"""Texels read along one axis, counted from the last whose centre (nearest: left edge) is not beyond the point."""
 
 
 class Texture:
@@ -34,6 +34,8 @@ class Texture:
     "bicubic" is the cubic convolution of R. G. Keys (1981), "Cubic Convolution Interpolation for Digital
     Image Processing", with a = -1/2 (Catmull-Rom): it passes through the texels' values at their centres, and
     overshoots at edges. Where all texels are equal their value comes out exactly.
+
+    With rows and columns along the screen's, `Auto()` filters it exactly, without a sample (`axes`).
 
     Beyond the border "zeros" has texels of 0, "border" the last texel, "repeat" the texture again, "mirror"
     the texture reflected at its outer edge, so that the last texel comes twice.
@@ -78,7 +80,7 @@ class Texture:
                 positive integers; a transform and a size together.
         """
         if interpolation not in get_args(Interpolation):
-            raise McaaError(f"interpolation must be one of {', '.join(_TAPS)}; got {interpolation!r}")
+            raise McaaError(f"interpolation must be one of {', '.join(TAPS)}; got {interpolation!r}")
         if wrap not in get_args(Wrap):
             raise McaaError(f"wrap must be one of {', '.join(get_args(Wrap))}; got {wrap!r}")
         if transform is not None and size is not None:
@@ -101,6 +103,18 @@ class Texture:
         bound = copy.copy(self)
         bound.size = screen
         return bound
+
+    @property
+    def axes(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        """((a, b), (c, d)) if u = a x + b and v = c y + d, exactly; None where a transform turns, shears or tilts."""
+        if self.transform is None:
+            if self.size is None:
+                return (1.0, 0.0), (1.0, 0.0)
+            return (self.image.shape[-1] / self.size[1], 0.0), (self.image.shape[-2] / self.size[0], 0.0)
+        (a, across, b), (down, c, d), (*tilt, depth) = self.transform.detach().double().tolist()
+        if any((across, down, *tilt)) or depth <= 0:
+            return None
+        return (a / depth, b / depth), (c / depth, d / depth)
 
     def __call__(self, x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
         """C tensors of x's shape, in the image's dtype; NaN where a coordinate is not finite.
@@ -149,23 +163,32 @@ class Texture:
 
     def _axis(self, u: Tensor, n: int) -> tuple[list[tuple[Tensor, Tensor | None]], tuple[Tensor, ...]]:
         """Along an axis of n texels: taps (index; under "zeros" where it exists) and `_blend`'s weights."""
-        start = u if self.interpolation == "nearest" else u - 0.5
+        start = u - origin(self.interpolation)
         first = torch.floor(start)
-        f = (start - first).to(self.image.dtype)
-        weights: tuple[Tensor, ...] = ()
-        if self.interpolation == "bilinear":
-            weights = (f,)
-        elif self.interpolation == "bicubic":
-            weights = (f * (f * (1 - f / 2) - 0.5), f * (f * (2 - 1.5 * f) + 0.5), f * f * (f / 2 - 0.5))
+        weights = blending(self.interpolation, (start - first).to(self.image.dtype))
         taps: list[tuple[Tensor, Tensor | None]] = []
-        for offset in _TAPS[self.interpolation]:
+        for offset in TAPS[self.interpolation]:
             tap = first.detach() + offset
             exists = (tap >= 0) & (tap < n) if self.wrap == "zeros" else None
-            taps.append((_wrapped(tap, n, self.wrap), exists))
+            taps.append((wrapped(tap, n, self.wrap), exists))
         return taps, weights
 
 
-def _wrapped(index: Tensor, n: int, wrap: Wrap) -> Tensor:
+def origin(interpolation: Interpolation) -> float:
+    """Where the first tap's own interval begins, in texels: at its left edge, or at its centre."""
+    return 0.0 if interpolation == "nearest" else 0.5
+
+
+def blending(interpolation: Interpolation, f: Tensor) -> tuple[Tensor, ...]:
+    """The weights of all TAPS but that at 0, which has what they lack to 1; f in [0, 1]: how far beyond it the point lies, in texels."""
+    if interpolation == "bilinear":
+        return (f,)
+    if interpolation == "bicubic":
+        return f * (f * (1 - f / 2) - 0.5), f * (f * (2 - 1.5 * f) + 0.5), f * f * (f / 2 - 0.5)
+    return ()
+
+
+def wrapped(index: Tensor, n: int, wrap: Wrap) -> Tensor:
     """int64 indices in [0, n) of whole-numbered floats; 0 for NaN."""
     # wrapped as floats: as integers they would overflow far out
     if wrap == "repeat":

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError, McaaWarning
-from torch_mcaa.estimators import Estimator, Shared
+from torch_mcaa.estimators import Auto, Estimator, Shared
 from torch_mcaa.filters import Box, Filter, Gaussian
 from torch_mcaa.grid import Screen
 from torch_mcaa.replay.adjoint import reach_of
@@ -51,7 +51,8 @@ def warp_perspective(
         align_corners: reflection is about the centres of the last pixels if True, about their outer edges if False; it changes nothing else.
         fill_value: under "fill", a tensor that broadcasts to (B, C, h, w), or (C,).
         filter: by default Gaussian(0.5), in pixels of the result.
-        estimator: by default Shared(), which is linear in the picture.
+        estimator: by default Auto() where M moves, scales and mirrors alone, which samples nothing and is exact; else Shared(), which is
+            linear in the picture.
         spp, seed: as in `render`.
 
     Returns:
@@ -63,7 +64,7 @@ def warp_perspective(
     if not (isinstance(M, Tensor) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
         raise McaaError(f"M must be a tensor (B, 3, 3), got {_told(M)}")
     _check(src, M, padding_mode)
-    layer = _layer(dsize, filter, estimator, spp, seed)
+    layer = _layer(dsize, filter, spp, seed)
     interpolation = _looked_up(mode, _MODES, "mode")
     if padding_mode == "fill":
         # a channel of ones tells how much of each pixel is the source's
@@ -79,7 +80,7 @@ def warp_perspective(
                 McaaWarning,
                 stacklevel=2,
             )
-        parts.append(_of(layer, texture, src).unflatten(0, pictures.shape[:2]))
+        parts.append(_of(layer, texture, estimator, src).unflatten(0, pictures.shape[:2]))
     found = torch.cat(parts)
     if padding_mode == "fill":
         fill = torch.zeros(()) if fill_value is None else fill_value
@@ -150,7 +151,7 @@ def resize(
         align_corners: the centres of the corners' pixels stay where they are if True, their outer corners if False or None.
         antialias: is taken for kornia's sake and changes nothing: the result is always filtered.
         filter: by default Gaussian(0.5), in pixels of the result.
-        estimator: by default Shared(), which is linear in the picture.
+        estimator: by default Auto(), which samples nothing here and is exact.
         spp, seed: as in `render`.
 
     Returns:
@@ -165,14 +166,14 @@ def resize(
     if isinstance(size, int):
         size = _of_side(size, width / height, side)
     kind = _looked_up(interpolation, _RESIZE, "interpolation")
-    layer = _layer(size, Box() if interpolation == "area" and filter is None else filter, estimator, spp, seed)
+    layer = _layer(size, Box() if interpolation == "area" and filter is None else filter, spp, seed)
     image, transform = input.reshape(-1, height, width), None
     if align_corners:
         steps = [(given - 1) / max(1, wanted - 1) for given, wanted in zip((height, width), size, strict=True)]
         transform = torch.tensor(
             [[steps[1], 0, 0.5 - steps[1] / 2], [0, steps[0], 0.5 - steps[0] / 2], [0, 0, 1]], dtype=torch.float64
         )
-    found = _of(layer, Texture(image, kind, "border", transform=transform), input)
+    found = _of(layer, Texture(image, kind, "border", transform=transform), estimator, input)
     return found.reshape(*input.shape[:-2], *found.shape[-2:])
 
 
@@ -207,19 +208,19 @@ def _texture(image: Tensor, transform: Tensor, interpolation: Interpolation, pad
     return Texture(image, interpolation, wrap, transform=transform)
 
 
-def _layer(dsize: object, filter: Filter | None, estimator: Estimator | None, spp: int, seed: int) -> Supersampler:
+def _layer(dsize: object, filter: Filter | None, spp: int, seed: int) -> Supersampler:
     screen = Screen.of(dsize)
     return Supersampler(
         (screen.height, screen.width),
         filter=Gaussian(0.5) if filter is None else filter,
-        estimator=Shared() if estimator is None else estimator,
         spp=spp,
         seed=seed,
         redraw=False,
     )
 
 
-def _of(layer: Supersampler, texture: Texture, like: Tensor) -> Tensor:
+def _of(layer: Supersampler, texture: Texture, estimator: Estimator | None, like: Tensor) -> Tensor:
+    layer.estimator = estimator or (Shared() if texture.axes is None else Auto())
     return layer.to(texture.image.device, texture.image.dtype)(texture).to(like.dtype)
 
 

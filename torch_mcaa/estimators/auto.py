@@ -21,13 +21,14 @@ from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.further import sampled_first, sampled_further
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
-from torch_mcaa.estimators.parts import CROWDED, MODELS, SAMPLED, Part, Parts, cell_of, located
+from torch_mcaa.estimators.parts import CROWDED, EXACT, MODELS, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.resolved import Grid, Resolved
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
 from torch_mcaa.estimators.steepness import steepness_of
 from torch_mcaa.estimators.suited import suited
+from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.tolerance import Tolerance
@@ -58,6 +59,8 @@ _TEXTURE = 0.01
 class Auto(Estimator):
     """The default. One sample a pixel tells what each block of 32 x 32 pixels needs.
 
+    A `Texture` whose rows and columns are the screen's is not sampled at all: its picture is a sum over texels, exact but for rounding, under
+    every filter that separates and ends.
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
     Where it is noise, has detail everywhere, or jumps more often than can be followed: `Shared(Lattice())` with all evaluations that
     are left. `Rendering.model` says which. Filters that do not end, or end in a step and are not products that are whole pixels wide, and
@@ -85,28 +88,34 @@ class Auto(Estimator):
         return not located(model) and not bool((model == CROWDED).any())
 
     def detailed(self, model: Tensor) -> bool:
-        return bool((model >= SAMPLED).any())
+        return bool(((model == SAMPLED) | (model == CROWDED)).any())
 
     def check(self, task: Task) -> None:
         Shared().check(task)
 
     def bias(self, task: Task) -> tuple[str, ...]:
+        if Texels.of(task) is not None:
+            return ()
         if not _can_locate(task):
             return Shared().bias(task)
         return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task))
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
+        if Texels.of(task) is not None:
+            return SIDE, SIDE
         if not _can_locate(task):
             return Shared().cell(task, spp, adaptive)
         return cell_of(spp, adaptive, task.device)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
+        if texels := Texels.of(task):
+            return TexelsRound(texels, EXACT)
         if spp < _FEWEST or not _can_locate(task):
             return Shared().round(task, spp, number)
         return AutoRound(task, spp, number)
 
     def round_within(self, task: Task, spp: int, number: int, most: int, wanted: Tolerance, jumps: bool | None) -> Round:
-        if not _can_locate(task):
+        if not _can_locate(task) or Texels.of(task) is not None:
             return self.round(task, spp, number)
         return AutoRound(task, spp, number, most=most, wanted=wanted, jumps=jumps if spp >= _FEWEST else False)
 

@@ -31,8 +31,9 @@ MODELS = (
     "jumps located on a finer lattice",
     "no jumps to locate: more samples",
     "more jumps than are located: more samples",
+    "texels, exactly",
 )
-PLAIN, LOCATED, FINER, SAMPLED, CROWDED = range(5)
+PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT = range(6)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""

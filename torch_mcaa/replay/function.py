@@ -9,13 +9,14 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.replay.gradients import Replay
+from torch_mcaa.replay.of_texels import OfTexels
 
 
 class Replayed(torch.autograd.Function):
-    """The picture, whose backward pass is a `Replay`: `apply(replay, picture, *replay.parameters)`."""
+    """The picture, whose backward pass is a `Replay`, or an `OfTexels`: `apply(replay, picture, *replay.parameters)`."""
 
     @staticmethod
-    def forward(ctx: Any, replay: Replay, picture: Tensor, *parameters: Tensor) -> Tensor:
+    def forward(ctx: Any, replay: Replay | OfTexels, picture: Tensor, *parameters: Tensor) -> Tensor:
         ctx.replay = replay
         # autograd refuses to go on if one of them is changed in place before the backward pass
         ctx.save_for_backward(picture, *parameters)
