@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ import texture_truth
 import torch
 from kornia_truth import PROFILES
 from torch import Tensor
+from torch.utils.checkpoint import checkpoint
 
 import torch_mcaa as mcaa
 from torch_mcaa.arguments import task_of
@@ -216,6 +219,19 @@ def test_a_batch() -> None:
     (first,) = torch.autograd.grad(picture.square().sum(), textures, create_graph=True)
     with pytest.raises(McaaError, match="second derivatives"):
         torch.autograd.grad(first.sum(), textures)
+
+
+def test_checkpoints_autocast_and_copies() -> None:
+    textures, layer = torch.rand(2, 3, 8, 9, generator=torch.Generator().manual_seed(0)).requires_grad_(), mcaa.Supersampler((5, 6))
+
+    def gradient(make: Callable[[Tensor], Tensor]) -> Tensor:
+        return torch.autograd.grad(make(textures).square().sum(), textures)[0]
+
+    expected = gradient(layer)
+    assert torch.equal(gradient(lambda t: checkpoint(layer, t, call=0, use_reentrant=False)), expected)  # type: ignore[arg-type]
+    assert torch.equal(gradient(copy.deepcopy(layer)), expected)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        assert torch.equal(gradient(layer), expected)
 
 
 def test_what_moves_has_the_gradient_of_samples() -> None:

@@ -112,6 +112,15 @@ def test_what_moves_and_scales_is_exact() -> None:
     torch.testing.assert_close(halved, mcaa.resize(src, (10, 12)), rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("padding_mode", ["zeros", "border", "reflection", "fill"])
+@pytest.mark.parametrize("align_corners", [True, False])
+def test_gradients_of_what_moves_and_scales(align_corners: bool, padding_mode: Any) -> None:
+    src, M = pictures(1, 1, 4, 5).requires_grad_(), torch.tensor([[[0.7, 0.0, 0.3], [0.0, -1.2, 4.1]]], dtype=torch.float64)
+    assert torch.autograd.gradcheck(
+        lambda s: mcaa.warp_affine(s, M, (4, 5), "bicubic", padding_mode, align_corners, FILL[:1]), [src]
+    )
+
+
 def test_gradients() -> None:
     """Of a shift by s of a linear ramp: the value falls by the slope, and the picture's own gradient sums to 1 a pixel of the result."""
     ramp = (0.1 * torch.arange(40, dtype=torch.float64)).expand(40, 40)[None, None].clone().requires_grad_()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -129,5 +130,8 @@ def _mixed(old: Tensor | None, new: Tensor | None, share: float) -> Tensor | Non
 
 def _inverse_mean(variance: Tensor) -> float:
     """One over the mean of the variances that are finite; next to nothing if none is."""
-    told = variance[variance.isfinite()]
-    return 1 / max(1e-300, float(told.mean(dtype=torch.float64))) if len(told) else 1e-300
+    mean = float(variance.mean(dtype=torch.float64))
+    if not math.isfinite(mean):
+        told = variance[variance.isfinite()]
+        mean = float(told.mean(dtype=torch.float64)) if len(told) else math.inf
+    return 1 / max(1e-300, min(mean, 1e300))

@@ -144,7 +144,7 @@ class Supersampler(torch.nn.Module):
             task = self._task(f, seed, dtype, device)
             replay = self._replay(task, autocast) if torch.is_grad_enabled() else None
             function = autocast.of(f)
-            # a texture is exact, or jumps at its sides alone
+            # a texture is exact, or turned: its values show its jumps as well as its decisions do
             if self.discontinuities and isinstance(self.estimator, Auto | JumpCorrected) and not isinstance(f, Texture):
                 function = followed(task, function)
             picture = self._render(function, self.size, seed, dtype, device)
