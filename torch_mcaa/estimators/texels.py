@@ -72,8 +72,8 @@ class Texels:
         channels, height, width = len(image), rows.stop - rows.start, cols.stop - cols.start
         summed = torch.empty(width, channels * cell.height, dtype=torch.float64, device=image.device)
         for part in self._bands(cols, channels * height):
-            lines = image[:, rows, part].permute(1, 0, 2).to(torch.float64).reshape(height, -1)
-            found = down.times(lines).view(cell.height, channels, -1)
+            lines = image[:, rows, part].permute(1, 0, 2).to(torch.float64, memory_format=torch.contiguous_format)
+            found = down.times(lines.reshape(height, -1)).view(cell.height, channels, -1)
             summed[part.start - cols.start : part.stop - cols.start] = found.permute(2, 1, 0).reshape(-1, channels * cell.height)
         value = across.times(summed).view(cell.width, channels, cell.height).permute(1, 2, 0)
         # weights that are small are known no better than others
@@ -86,8 +86,9 @@ class Texels:
         for cell in self.task.screen.cells(SIDE, SIDE):
             (cols, across), (rows, down) = self._weights(cell)
             height, width = rows.stop - rows.start, cols.stop - cols.start
-            lines = grad[(slice(None), *cell.window)].to(torch.float64).permute(2, 0, 1).reshape(cell.width, -1)
-            summed, down = across.transposed(width).times(lines).view(width, channels, cell.height), down.transposed(height)
+            lines = grad[(slice(None), *cell.window)].permute(2, 0, 1).to(torch.float64, memory_format=torch.contiguous_format)
+            summed = across.transposed(width).times(lines.reshape(cell.width, -1)).view(width, channels, cell.height)
+            down = down.transposed(height)
             for part in self._bands(cols, channels * height):
                 inside = summed[part.start - cols.start : part.stop - cols.start].permute(2, 1, 0).reshape(cell.height, -1)
                 total[:, rows, part] += down.times(inside).view(height, channels, -1).permute(1, 0, 2).to(total)
