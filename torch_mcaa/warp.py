@@ -51,8 +51,8 @@ def warp_perspective(
         align_corners: reflection is about the centres of the last pixels if True, about their outer edges if False; it changes nothing else.
         fill_value: under "fill", a tensor that broadcasts to (B, C, h, w), or (C,).
         filter: by default Gaussian(0.5), in pixels of the result.
-        estimator: by default Auto() where M moves, scales and mirrors alone, which samples nothing and is exact; else Shared(), which is
-            linear in the picture.
+        estimator: by default Auto() where M moves, scales and mirrors alone and the filter separates, which samples nothing and is exact;
+            else Shared(), which is linear in the picture.
         spp, seed: as in `render`.
 
     Returns:
@@ -151,7 +151,7 @@ def resize(
         align_corners: the centres of the corners' pixels stay where they are if True, their outer corners if False or None.
         antialias: is taken for kornia's sake and changes nothing: the result is always filtered.
         filter: by default Gaussian(0.5), in pixels of the result.
-        estimator: by default Auto(), which samples nothing here and is exact.
+        estimator: by default as in `warp_perspective`.
         spp, seed: as in `render`.
 
     Returns:
@@ -220,7 +220,8 @@ def _layer(dsize: object, filter: Filter | None, spp: int, seed: int) -> Supersa
 
 
 def _of(layer: Supersampler, texture: Texture, estimator: Estimator | None, like: Tensor) -> Tensor:
-    layer.estimator = estimator or (Shared() if texture.axes is None else Auto())
+    summed = texture.axes is not None and layer.filter.separable
+    layer.estimator = estimator or (Auto() if summed else Shared())
     return layer.to(texture.image.device, texture.image.dtype)(texture).to(like.dtype)
 
 

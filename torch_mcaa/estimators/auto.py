@@ -59,14 +59,15 @@ _TEXTURE = 0.01
 class Auto(Estimator):
     """The default. One sample a pixel tells what each block of 32 x 32 pixels needs.
 
-    A `Texture` whose rows and columns are the screen's is not sampled at all: its picture is a sum over texels, exact but for rounding, under
-    every filter that separates and ends.
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
     Where it is noise, has detail everywhere, or jumps more often than can be followed: `Shared(Lattice())` with all evaluations that
     are left. `Rendering.model` says which. Filters that do not end, or end in a step and are not products that are whole pixels wide, and
     fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout.
 
-    Not labelled unbiased: what is done is decided by the samples.
+    A `Texture` whose rows and columns are the screen's is not sampled at all: its picture is a sum over texels, exact but for rounding, under
+    every filter that separates and ends.
+
+    Not labelled unbiased otherwise: what is done is decided by the samples.
     """
 
     @property
