@@ -244,6 +244,16 @@ def test_ctrl_c_writes_what_there_is(folder: Path, run: Run) -> None:
     assert bool(read_image("out.npz").isnan().all())
 
 
+def test_no_time_writes_nothing(folder: Path, run: Run) -> None:
+    status, _, err = run("render", "scene.py:disc", "--size", "8x8", "--seconds", "1e-9", "-o", "out.png")
+    assert status == 2 and "no pixel had a sample" in err
+    assert not Path("out.png").exists()
+
+
+def test_version(folder: Path, run: Run) -> None:
+    assert run("--version") == (0, f"{mcaa.__version__}\n", "")
+
+
 def test_demo(folder: Path, run: Run) -> None:
     status, out, err = run("demo", "--size", "20x16", "--spp", "4", "-o", "pictures/demo")
     assert (status, err) == (0, "")
@@ -301,7 +311,10 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "a filter's argument": (("render", "scene.py:disc", "--filter", "gaussian:wide", "-o", "new.png"), "'wide'"),
     "a filter out of range": (("render", "scene.py:disc", "--filter", "gaussian:-1", "-o", "new.png"), "Gaussian.*-1"),
     "a filter over the plane": (("render", "scene.py:disc", "--filter", "sinc", "-o", "new.png"), "boundary='zero'"),
-    "unknown estimator": (("render", "scene.py:disc", "--estimator", "best", "-o", "new.png"), "'best'.*auto, shared, importance"),
+    "unknown estimator": (
+        ("render", "scene.py:disc", "--estimator", "best", "-o", "new.png"),
+        "'best'.*auto, shared, jump-corrected",
+    ),
     "unknown boundary": (("render", "scene.py:disc", *SIZED, "--boundary", "wrap", "-o", "new.png"), "got 'wrap'"),
     "unknown nonfinite": (("render", "scene.py:disc", *SIZED, "--nonfinite", "warn", "-o", "new.png"), "got 'warn'"),
     "spp 0": (("render", "scene.py:disc", *SIZED, "--spp", "0", "-o", "new.png"), "spp .*got 0"),

@@ -462,7 +462,8 @@ def test_seconds_ends_near_the_time_and_says_what_is_missing() -> None:
     in_a_cell = len(calls)
     calls.clear()
     start = time.perf_counter()
-    picture = mcaa.render(f, (128, 128), seconds=0.15, spp=64, estimator=mcaa.Importance())
+    with pytest.warns(McaaWarning, match="of 16384 pixels had a sample"):
+        picture = mcaa.render(f, (128, 128), seconds=0.15, spp=64, estimator=mcaa.Importance())
     assert picture.stopped == "seconds"
     assert sum(call > start + 0.15 for call in calls) <= in_a_cell
     assert picture.seconds >= 0.15
@@ -475,7 +476,8 @@ def test_seconds_ends_near_the_time_and_says_what_is_missing() -> None:
 
 
 def test_no_time_for_a_single_cell() -> None:
-    picture = mcaa.render(lambda x, y: (x, y), SIZE, seconds=1e-9)
+    with pytest.warns(McaaWarning, match="the time was up"):
+        picture = mcaa.render(lambda x, y: (x, y), SIZE, seconds=1e-9)
     assert picture.stopped == "seconds"
     assert bool(picture.image.isnan().all())
     assert bool((picture.stderr == torch.inf).all())
@@ -831,8 +833,10 @@ def test_what_an_object_with_other_methods_means() -> None:
 
 
 def test_a_picture_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(McaaError, match="300000 x 300000 pixels in 1 channels does not fit"):
+    with pytest.raises(McaaError, match="300000 x 300000 pixels in 1 channel does not fit"):
         mcaa.render(constant, (300_000, 300_000))
+    with pytest.raises(McaaError, match="does not fit into memory"):
+        mcaa.render(constant, (10**9, 10**9))
 
 
 def test_numbers_of_numpy_are_numbers() -> None:
@@ -848,3 +852,32 @@ def test_a_round_without_a_point_does_not_spoil_the_next() -> None:
     assert bool(picture.image.isfinite().all())
     assert bool(picture.stderr.isfinite().all())
     assert float((picture.image - 0.7).abs().max()) < 1e-5
+
+
+def test_time_that_does_not_last_is_said() -> None:
+    """An f that takes long a call ends a cell of jumps to be located, too, and what has no value is counted in a warning."""
+
+    def slow(x: Tensor, y: Tensor) -> Tensor:
+        time.sleep(0.01)
+        return (torch.hypot(x - 8, y - 8) < 5).to(x.dtype)
+
+    with pytest.warns(mcaa.McaaWarning, match="the time was up before 245760 of 262144 pixels"):
+        picture = mcaa.render(slow, (512, 512), seconds=0.05)
+    assert picture.stopped == "seconds" and int(picture.image.isnan().sum()) == 245760
+    # without the clock a cell takes 263 calls
+    assert picture.seconds < 1.5
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-22, 1e20, 1e30])
+def test_values_whose_squares_float32_does_not_hold(scale: float) -> None:
+    """The standard error is then too large, never 0 or NaN."""
+    picture = mcaa.render(lambda x, y: scale * (torch.hypot(x - 8, y - 8) < 5), (32, 32))
+    assert bool((picture.stderr > 0).all())
+    assert float((picture.image / scale).sum()) == pytest.approx(25 * math.pi, rel=1e-3)
+
+
+def test_pictures_are_equal_if_they_are_one() -> None:
+    picture = mcaa.render(lambda x, y: x, (4, 4))
+    assert picture == picture and picture != mcaa.render(lambda x, y: x, (4, 4))
+    with pytest.raises(mcaa.McaaError, match="written to a path, got None"):
+        picture.save(None)  # type: ignore[arg-type]

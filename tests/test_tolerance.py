@@ -235,3 +235,13 @@ def test_the_benchmark_prints_a_row_a_scene(capsys: pytest.CaptureFixture[str], 
     benchmark.main()
     rows = capsys.readouterr().out.strip().splitlines()
     assert len(rows) == 3 and rows[2].startswith("| ramp | ") and "1.0 Shared" in rows[2]
+
+
+@pytest.mark.parametrize("size", [64, 256])
+def test_a_relative_tolerance_of_black(size: int) -> None:
+    """Where nothing is allowed and nothing is seen the tolerance is met; a shape on black asks for more about its edge alone."""
+    wanted = mcaa.Tolerance(relative=0.01)
+    black = mcaa.render(lambda x, y: 0 * x, (size, size), tolerance=wanted, spp=64)
+    assert black.stopped == "tolerance" and float(black.spp.to(torch.float64).mean()) < 2
+    disc = mcaa.render(lambda x, y: (torch.hypot(x - 32, y - 32) < 20).to(x.dtype), (size, size), tolerance=wanted, spp=64)
+    assert bool(disc.image.isfinite().all()) and float(disc.spp.to(torch.float64).mean()) <= 64

@@ -43,6 +43,21 @@ def main() -> None:
         sys.exit(2)
 
 
+def _version(wanted: bool) -> None:
+    if wanted:
+        import torch_mcaa
+
+        print(torch_mcaa.__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")] = False,
+) -> None:
+    pass
+
+
 @app.command()
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="the folder for the pictures")] = Path("mcaa-demo"),
@@ -65,7 +80,9 @@ def render(
     filter: Annotated[str, typer.Option(help="box, tent, gaussian:0.5, mitchell:1/3,1/3, lanczos:3, ...")] = "gaussian:0.5",
     estimator: Annotated[
         str,
-        typer.Option(help="auto, shared, importance, crude, stratified, adaptive-importance, control-variate or ordered-strata"),
+        typer.Option(
+            help="auto, shared, jump-corrected, importance, crude, stratified, adaptive-importance, control-variate or ordered-strata"
+        ),
     ] = "auto",
     tolerance: Annotated[float | None, typer.Option(help="absolute error to work for")] = None,
     seconds: Annotated[float | None, typer.Option(help="wall time after which to stop")] = None,
@@ -114,6 +131,9 @@ def render(
             nonfinite=nonfinite,  # pyright: ignore[reportArgumentType]
             seed=seed,
         )
+    empty = int(picture.image.isnan().all(0).sum()) if picture.stopped == "seconds" else 0
+    if empty == picture.spp.numel():
+        raise McaaError(f"no pixel had a sample when the time was up, and nothing is written; give more than --seconds {seconds:g}")
     picture.save(output, bits=bits, force=force)
     error = picture.stderr[picture.stderr.isfinite()]
     typical = float(error.square().mean().sqrt()) if error.numel() else float("nan")
@@ -123,6 +143,8 @@ def render(
     )
     if int(picture.invalid.sum()):
         print(f"{int(picture.invalid.sum())} evaluations were not finite", file=sys.stderr)
+    if empty:
+        print(f"mcaa: the time was up before {empty} of {picture.spp.numel()} pixels had a sample: they are NaN", file=sys.stderr)
     if picture.stopped == "interrupted":
         print("mcaa: interrupted: pixels without a value are NaN, with a standard error of +inf", file=sys.stderr)
         sys.exit(130)
@@ -239,11 +261,22 @@ def _texture(path: str, transform: str | None, interpolation: str, wrap: str) ->
 
 
 def _estimator(name: str) -> Any:
-    from torch_mcaa import AdaptiveImportance, Auto, ControlVariate, Crude, Importance, OrderedStrata, Shared, Stratified
+    from torch_mcaa import (
+        AdaptiveImportance,
+        Auto,
+        ControlVariate,
+        Crude,
+        Importance,
+        JumpCorrected,
+        OrderedStrata,
+        Shared,
+        Stratified,
+    )
 
     known = {
         "auto": Auto,
         "shared": Shared,
+        "jump-corrected": JumpCorrected,
         "importance": Importance,
         "crude": Crude,
         "stratified": Stratified,

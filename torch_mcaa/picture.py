@@ -33,9 +33,20 @@ def blank(task: Task, channels: int, diagnosed: bool) -> Estimate:
             full(torch.nan, channels, height, width), full(torch.inf, channels, height, width), counts[0], counts[1], diagnostics
         )
     except RuntimeError as error:
-        raise McaaError(
-            f"a picture of {height} x {width} pixels in {channels} channels does not fit into memory; ask for a smaller size"
-        ) from error
+        raise _too_large(task, channels) from error
+
+
+def check_size(task: Task) -> None:
+    """Raises McaaError if not even one channel would fit into memory: before plans are made for every part of the screen."""
+    try:
+        torch.empty(4, task.screen.height, task.screen.width, dtype=task.dtype, device=task.device)
+    except RuntimeError as error:
+        raise _too_large(task, 1) from error
+
+
+def _too_large(task: Task, channels: int) -> McaaError:
+    size = f"{task.screen.height} x {task.screen.width} pixels in {channels} channel{'s' * (channels > 1)}"
+    return McaaError(f"a picture of {size} does not fit into memory; ask for a smaller size")
 
 
 def add(picture: Estimate, cell: Cell, new: Estimate, share: float | Tensor | None, propagate: bool) -> None:

@@ -73,7 +73,8 @@ def render(
     Raises:
         McaaError: an argument that cannot be used, or an f that breaks its contract; the message says which, what was received, the mend.
 
-    Ctrl-C ends the work and returns what is done, with a `McaaWarning`; pixels without a value are NaN.
+    Ctrl-C ends the work and returns what is done, with a `McaaWarning`; pixels without a value are NaN. So are those that `seconds` did not
+    last for.
 
     >>> import torch, torch_mcaa as mcaa
     >>> picture = mcaa.render(lambda x, y: (torch.hypot(x - 8, y - 8) < 5).float(), (16, 16), spp=16)
@@ -90,7 +91,7 @@ def render(
         raise McaaError(f"estimator must be an estimator such as Auto() or Shared(), got {chosen!r}")
     if isinstance(spp, bool) or not isinstance(spp, Integral) or spp < 1:
         raise McaaError(f"spp must be an integer of at least 1, got {spp!r}")
-    if seconds is not None and not (isinstance(seconds, Real) and seconds > 0):
+    if seconds is not None and (isinstance(seconds, bool) or not (isinstance(seconds, Real) and seconds > 0)):
         raise McaaError(f"seconds must be above 0, got {seconds!r}")
     if not (isinstance(compile, bool) or compile == "auto"):
         raise McaaError(f"compile must be 'auto', True or False, got {compile!r}")
@@ -107,8 +108,10 @@ def render(
     many = task.device.type == "cpu" and spp * screen.height * screen.width >= _MANY
     if compile is True or (compile == "auto" and not unfused and many):
         task = dataclasses.replace(task, compiled=True)
+    if seconds is not None:
+        task = dataclasses.replace(task, deadline=start + seconds)
     bar = Progress(progress)
-    work = Rounds(task, chosen, spp, tolerance, None if seconds is None else start + seconds, bar)
+    work = Rounds(task, chosen, spp, tolerance, bar)
     with torch.no_grad():
         try:
             stopped = work.run()
@@ -123,8 +126,16 @@ def render(
 
 def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
     picture, task = work.picture(), work.task
+    empty = int(((picture.points == 0) & picture.value.isnan().all(0)).sum()) if stopped == "seconds" else 0
+    if empty:
+        warnings.warn(
+            f"the time was up before {empty} of {picture.points.numel()} pixels had a sample: they are NaN, with a standard error of +inf; "
+            "give more seconds, or ask for fewer pixels",
+            McaaWarning,
+            stacklevel=3,
+        )
     bias = list(work.estimator.bias(task))
-    if work.number > 1 and (work.tolerance is not None or work.deadline is not None):
+    if work.number > 1 and (work.tolerance is not None or task.deadline is not None):
         bias.append("rounds ended where the samples themselves said so")
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
         bias.append("samples that were not finite were left out")
@@ -149,7 +160,8 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         )
     return Rendering(
         image=picture.value,
-        stderr=picture.variance.sqrt_(),
+        # differences of infinite variances say nothing
+        stderr=picture.variance.nan_to_num_(nan=torch.inf, posinf=torch.inf).sqrt_(),
         spp=picture.points,
         invalid=picture.invalid,
         model=torch.zeros_like(picture.points, dtype=torch.uint8) if work.model is None else work.model,

@@ -17,7 +17,7 @@ from torch_mcaa.grid import Cell
 Stopped = Literal["spp", "tolerance", "seconds", "interrupted"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rendering:
     """An anti-aliased picture with the standard error of every pixel.
 

@@ -17,7 +17,7 @@ from torch_mcaa.estimators import Estimate, Estimator, Pixelwise, PixelwiseRound
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.grid import Cell
 from torch_mcaa.history import History
-from torch_mcaa.picture import blank, part_of
+from torch_mcaa.picture import blank, check_size, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
 from torch_mcaa.sharing_out import shared_out
@@ -54,7 +54,6 @@ class Rounds:
     estimator: Estimator
     spp: int
     tolerance: Tolerance | None
-    deadline: float | None
     bar: Progress
     histories: list[History] = field(init=False)
     number: int = field(default=0, init=False)
@@ -65,7 +64,8 @@ class Rounds:
     _spent: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:
-        adaptive = self.tolerance is not None or self.deadline is not None
+        check_size(self.task)
+        adaptive = self.tolerance is not None or self.task.deadline is not None
         size = self.estimator.cell(self.task, self.spp, adaptive)
         # a part of a picture under an endless filter takes the samples of all of it
         cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
@@ -117,7 +117,7 @@ class Rounds:
                 if each not in rounds:
                     alike = [other for other, within in parts if asked[within[0]] == each]
                     rounds[each] = self._round(each, alike, each.points + spare)
-                if self.deadline is not None and time.perf_counter() > self.deadline:
+                if self.task.deadline is not None and time.perf_counter() > self.task.deadline:
                     return "seconds"
                 found = rounds[each].estimate(part)
                 for index in inside:
@@ -137,14 +137,14 @@ class Rounds:
             asked = self._affordable(active, wanted, self.spp * pixels - self._spent)
             if not asked:
                 return "spp"
-            if self.deadline is not None:
+            if self.task.deadline is not None:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
                 # where the time does not last for a round of all cells, it is for some of them: the loop above watches the clock
-                asked = self._affordable(list(asked), asked, (self.deadline - now) / rate) or {
+                asked = self._affordable(list(asked), asked, (self.task.deadline - now) / rate) or {
                     index: Asked(self._least(each.jumps), each.jumps) for index, each in asked.items()
                 }
-                if now > self.deadline:
+                if now > self.task.deadline:
                     return "seconds"
 
     def _affordable(self, active: Sequence[int], wanted: dict[int, Asked] | None, left: float) -> dict[int, Asked]:

@@ -21,6 +21,8 @@ than 1 / c with a probability of 0.8 / (c s), four of 1 / (c s)^2, and then are 
 class Tolerance:
     """How far off a pixel may be: by `absolute`, or `relative` times its modulus, whichever is larger.
 
+    Without an absolute one, pixels that are almost black ask for the most.
+
     Raises:
         McaaError: a tolerance that is negative or not finite, or neither above 0.
     """
@@ -39,7 +41,12 @@ class Tolerance:
         """The largest standard error of values."""
         return (self.relative * value.abs()).clamp_min(self.absolute)
 
-    def excess(self, value: Tensor, variance: Tensor) -> float:
-        """The largest ratio of a pixel's variance to that which is allowed: the tolerance is met if it is at most 1; NaN counts as +inf."""
+    def ratio(self, value: Tensor, variance: Tensor) -> Tensor:
+        """Variances in parts of what is allowed, of which 1 is all; NaN counts as +inf, and 0 is 0, where nothing is allowed too."""
         allowed = self.allowed(value)
-        return float(torch.nan_to_num(variance / (allowed * allowed), nan=torch.inf, posinf=torch.inf).max())
+        ratio = torch.where(variance == 0, 0, variance / (allowed * allowed))
+        return torch.nan_to_num(ratio, nan=torch.inf, posinf=torch.inf)
+
+    def excess(self, value: Tensor, variance: Tensor) -> float:
+        """The largest `ratio`: the tolerance is met if it is at most 1."""
+        return float(self.ratio(value, variance).max())

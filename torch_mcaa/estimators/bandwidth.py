@@ -61,24 +61,29 @@ class Bandwidth:
         """
         counts, lengths = _shortest()
         place = torch.searchsorted(lengths, self.length(frequency, std, allowed)).clamp_max(len(counts) - 1)
-        random = (self.power * (std / allowed).square()).clamp(_FEWEST, _MOST).ceil().long()
+        random = (self.power / _allowed(allowed, std).square()).clamp(_FEWEST, _MOST).ceil().long()
         return torch.minimum(counts[place], random).amax(0)
 
     def margins(self, std: Tensor, allowed: Tensor) -> Tensor:
         """(2, C, blocks) cycles a pixel: how far a tone has to be from a lattice's dual vectors to err by no more than is `allowed`, and from the
         halves of these to be nothing under the wide window.
         """
-        ratio = allowed / std.clamp_min(1e-300)
+        ratio = _allowed(allowed, std)
         leak = (ratio / math.sqrt(2 * self.told)).clamp(1e-30, 1)
         return torch.stack([self._beyond(ratio), (-leak.log() / 2).sqrt() / (math.pi * self.std)])
 
     def length(self, frequency: Tensor, std: Tensor, allowed: Tensor) -> Tensor:
         """Cycles a pixel: of a shortest dual vector that is surely enough for tones of a `frequency`."""
-        return (frequency + self._beyond(allowed / std.clamp_min(1e-300) / _SURE)).nan_to_num(0.0)
+        return (frequency + self._beyond(_allowed(allowed, std) / _SURE)).nan_to_num(0.0)
 
     def _beyond(self, ratio: Tensor) -> Tensor:
         """Cycles a pixel beyond which the filter's transform is below a ratio."""
         return _STEP * (self.above[:, None, None] > ratio).sum(0)
+
+
+def _allowed(allowed: Tensor, std: Tensor) -> Tensor:
+    """What is allowed in parts of f's standard deviation: +inf where f is constant, were it 0 that nothing but a relative tolerance allows."""
+    return torch.where(std > 0, allowed / std.clamp_min(1e-300), torch.inf)
 
 
 @cache

@@ -34,6 +34,8 @@ class Task:
     device: torch.device
     compiled: bool = False
     """Whether f is compiled into the estimator's graph, where the estimator has one."""
+    deadline: float | None = None
+    """When to end, by `time.perf_counter`."""
 
     @property
     def followed(self) -> Followed | None:
@@ -199,7 +201,8 @@ def unseen(value: Tensor, spp: float | Tensor) -> Tensor:
     magnitude = torch.nan_to_num(high.abs(), nan=0.0, posinf=0.0)
     rounding = 64 * torch.finfo(value.dtype).eps
     scale = torch.where(span > rounding * magnitude, span, torch.where(magnitude > 0, magnitude, torch.ones_like(magnitude)))
-    return (scale / (spp * min(MANY, value[0].numel()))) ** 2
+    # squares of less are 0
+    return ((scale / (spp * min(MANY, value[0].numel()))) ** 2).clamp_min(torch.finfo(value.dtype).tiny)
 
 
 def box3(plane: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ _HELD = 1 << 14
 
 
 class Spent(Exception):
-    """There are not enough evaluations left; none was made."""
+    """There are not enough evaluations left, or no time; none was made."""
 
 
 @dataclass
@@ -149,8 +150,8 @@ class Counted:
         return values
 
     def check(self, count: int) -> None:
-        """Raises Spent if fewer evaluations are left."""
-        if count > self.left - self.kept:
+        """Raises Spent if fewer evaluations are left, or no time."""
+        if count > self.left - self.kept or (self.task.deadline is not None and time.perf_counter() > self.task.deadline):
             raise Spent
 
     def _spend(self, count: int) -> None:

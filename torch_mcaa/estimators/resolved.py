@@ -85,7 +85,7 @@ class Resolved:
                 continue
             value, variance, blind, samples = self._estimate(where, suited, grid, samples, here)
             left -= int(here.points.sum()) - before
-            excess = (variance.sqrt() / self.wanted.allowed(value)).amax(0).masked_fill(here.invalid > 0, torch.inf)
+            excess = self.wanted.ratio(value, variance).sqrt().amax(0).masked_fill(here.invalid > 0, torch.inf)
             for block, had in zip(where.blocks(BLOCK), suited, strict=True):
                 at = block.within(where)
                 beyond = float(excess[at].max())

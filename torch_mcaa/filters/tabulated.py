@@ -32,7 +32,7 @@ def Tabulated(samples: Samples, radius: float = 1.0) -> TabulatedProfile | Tabul
     """
     radius = pixels("Tabulated", "radius", radius, "pass the half-width in pixels, such as 1.0")
     try:
-        array = samples.detach().cpu() if isinstance(samples, Tensor) else samples
+        array = samples.detach().to("cpu", torch.float64) if isinstance(samples, Tensor) else samples
         values = torch.tensor(np.asarray(array, dtype=np.float64))
     except (TypeError, ValueError, RuntimeError) as error:
         raise McaaError(

@@ -35,6 +35,8 @@ def check_target(path: str | os.PathLike[str], force: bool = False) -> Path:
     Made to be called before the work begins: it checks the extension and its library, tries the folder by
     making and removing a file, and refuses an existing file without `force`.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise McaaError(f"a picture is written to a path, got {path!r}; pass a name such as 'picture.png'")
     kind = Path(path).suffix.lower()
     if kind not in _WRITERS:
         raise McaaError(f"cannot write {path}: unknown extension {kind!r}; use one of {', '.join(_WRITERS)}")
