@@ -19,6 +19,7 @@ from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
+from torch_mcaa.estimators.directions import directions
 from torch_mcaa.estimators.further import sampled_first, sampled_further
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, EXACT, MODELS, SAMPLED, Part, Parts, cell_of, located
@@ -60,9 +61,9 @@ class Auto(Estimator):
     """The default. One sample a pixel tells what each block of 32 x 32 pixels needs.
 
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
-    Where it is noise, has detail everywhere, or jumps more often than can be followed: `Shared(Lattice())` with all evaluations that
-    are left. `Rendering.model` says which. Filters that do not end, or end in a step and are not products that are whole pixels wide, and
-    fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout.
+    Where it is noise, has detail everywhere, or jumps more often than can be followed: a shared lattice with all evaluations that are
+    left, which suits the directions of the edges that the pilot saw. `Rendering.model` says which. Filters that do not end, or end in a
+    step and are not products that are whole pixels wide, and fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout.
 
     A `Texture` whose rows and columns are the screen's is not sampled at all: its picture is a sum over texels, exact but for rounding, under
     every filter that separates and ends.
@@ -134,6 +135,7 @@ class _Seen(NamedTuple):
 
     Attributes:
         jumping: which are known to jump, decisions aside. texture: whether f has detail everywhere. spread: of neighbouring samples.
+        edges: (blocks, DIRECTIONS) how much there is of each direction, where rounds are not compared: these must have other lattices.
         counts: under a tolerance how many points a pixel a lattice needs, in the first round.
         done: blocks that are known well enough already, and what these and the attempt at others have `taken`.
     """
@@ -142,6 +144,7 @@ class _Seen(NamedTuple):
     jumping: Tensor
     texture: Tensor
     spread: Tensor
+    edges: Tensor | None
     counts: Tensor | None
     done: list[tuple[Cell, Part]]
     taken: int
@@ -168,9 +171,10 @@ class AutoRound(Round):
         self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
         self.most, self.wanted, self.jumps = most, wanted, jumps
         self.per_pixel = float(spp)
+        self.first = number == 0
         self.resolved: Resolved | None = None
         # what f's frequencies ask for is known of products alone
-        if wanted is not None and jumps is not False and number == 0 and isinstance(task.filter, SeparableFilter):
+        if wanted is not None and jumps is not False and self.first and isinstance(task.filter, SeparableFilter):
             self.resolved = Resolved(task, Bandwidth(task.filter), wanted, self.parts.seed)
 
     def points(self, cell: Cell) -> int:
@@ -212,7 +216,7 @@ class AutoRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            part = sampled_further(self.parts, part, cell, seen.spread, left, None if most is None else self.spp)
+            part = sampled_further(self.parts, part, cell, seen.spread, seen.edges, left, None if most is None else self.spp)
         else:
             part = sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
         crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
@@ -251,6 +255,7 @@ class AutoRound(Round):
         jumping = _jumping(cell, judged)
         if codes is not None:
             judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
+        edges = directions(values, row, col, cell).cpu() if self.wanted is None and self.first else None
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         counts, done, taken = None, [], 0
         if self.resolved is not None:
@@ -275,7 +280,14 @@ class AutoRound(Round):
         spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         # a few numbers a block, of which the CPU makes plans
         return _Seen(
-            judged.cpu(), jumping.cpu(), texture.flatten().cpu(), spread.flatten().to("cpu", torch.float64), counts, done, taken
+            judged.cpu(),
+            jumping.cpu(),
+            texture.flatten().cpu(),
+            spread.flatten().to("cpu", torch.float64),
+            edges,
+            counts,
+            done,
+            taken,
         )
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import MANY
-from torch_mcaa.estimators.blocks import BLOCK
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in
 from torch_mcaa.estimators.parts import FEWEST, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.grid import Cell
 
@@ -45,11 +45,13 @@ def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: in
     return replace(part, heavy=heavy if bool(heavy.any()) else None, density=density)
 
 
-def sampled_further(parts: Parts, part: Part, cell: Cell, spread: Tensor, left: int, most: int | None) -> Part:
+def sampled_further(
+    parts: Parts, part: Part, cell: Cell, spread: Tensor, edges: Tensor | None, left: int, most: int | None
+) -> Part:
     """More samples, of the `left` evaluations, in the blocks with pixels whose jumps were not located and that are not known well enough.
 
     With what they have had, a third in equal shares and the rest by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
-    place of the standard deviation; at most `most` a pixel on average.
+    place of the standard deviation; at most `most` a pixel on average. With lattices that suit the directions of the `edges` (blocks, DIRECTIONS).
     """
     value, variance, free = part.value, part.variance, part.model == PLAIN
     finite = value.nan_to_num(0.0, 0.0, 0.0)
@@ -71,7 +73,11 @@ def sampled_further(parts: Parts, part: Part, cell: Cell, spread: Tensor, left: 
     density, blind = density.clone(), torch.zeros_like(variance) if part.blind is None else part.blind
     for where, had, count in _counts(poorest, left, most):
         at = where.within(cell)
-        more, here = parts.sampled(where, count, left), free[at]
+        suited = None if edges is None else edges[blocks_in(cell, where)].sum(0).numpy()
+        more, here = (
+            parts.sampled(where, count, left, suited if suited is not None and 0 < suited.sum() < math.inf else None),
+            free[at],
+        )
         left -= more.spent
         seen = 0 if more.blind is None else more.blind
         if had:
@@ -90,22 +96,22 @@ def sampled_further(parts: Parts, part: Part, cell: Cell, spread: Tensor, left: 
     return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density, blind)
 
 
-def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, int]]:
+def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, float]]:
     """Of parts (cell, what it has had a pixel, spread) those that are given more, and how many evaluations a pixel."""
     while parts:
         pixels = [where.height * where.width for where, _, _ in parts]
         total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))
         each = (left + had) / total if most is None else min(most, (left + had) / total)
         mean = sum(n * spread for n, (_, _, spread) in zip(pixels, parts, strict=True)) / total
-        counts = [int(each * (1 + 2 * spread / mean) / 3 - had) for _, had, spread in parts]
+        counts = [each * (1 + 2 * spread / mean) / 3 - had for _, had, spread in parts]
         enough = [had > 0 and count < 1 for (_, had, _), count in zip(parts, counts, strict=True)]
         if not any(enough):
-            return [(where, had, max(1, count)) for (where, had, _), count in zip(parts, counts, strict=True)]
+            return [(where, had, max(1.0, count)) for (where, had, _), count in zip(parts, counts, strict=True)]
         parts = [part for part, done in zip(parts, enough, strict=True) if not done]
     return []
 
 
-def _share(first: Tensor, had: float, second: Tensor, more: int) -> float:
+def _share(first: Tensor, had: float, second: Tensor, more: float) -> float:
     """The weight of a second lattice of `more` points a pixel beside a first of `had`.
 
     n^1.5, the inverse variance on edges, or, if that is more for the larger lattice, the inverse means of their variances over a block, of

@@ -196,7 +196,7 @@ class Corrector:
             count = finer * self.base.count
             count += 1 - count % 2
             for times in (1, 4, 16, 64, 256, 1024):
-                chosen = near & dilated(coarse.pixels.plane(worst > times), 2)
+                chosen = near & dilated(coarse.pixels.plane(worst > times), 1)
                 pixels = int(dilated(chosen, self.work.window.halo).sum())
                 if not pixels or 2 * pixels * count * (1 + density / self.base.count * STEPS[0]) < self.ask.left:
                     break

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,6 +24,8 @@ from torch_mcaa.estimators.owner import Owner
 from torch_mcaa.estimators.shared_lattice import LatticeRound, Look
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import width_of
+from torch_mcaa.patterns.turned import FEWEST as SUITED
+from torch_mcaa.patterns.turned import turned
 from torch_mcaa.tolerance import FEW_SHIFTS, Tolerance
 
 MODELS = (
@@ -41,6 +44,8 @@ FEWEST = 3
 """Lines."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
+_STEP = 0.25
+"""Evaluations a pixel: lattices that are chosen by directions come in such steps."""
 _LATTICES = 2
 """Those that are remembered for the next cell."""
 _CROSSED = 1 << 14
@@ -123,20 +128,22 @@ class Parts:
         self.task, self.number, self.audited = task, number, audited
         self.seed = int(rng.bits(task.seed, _STREAM, number))
         self.random = False
-        self._lattices: dict[tuple[int, bool], LatticeRound] = {}
+        self._lattices: dict[tuple[float, bool, tuple[int, int, int] | None], LatticeRound] = {}
         self._precision = Precision()
 
     def ask(self, cell: Cell, budget: int) -> Counted:
         """f at places of a part of the screen."""
         return Counted(self.task, cell, budget, self._precision)
 
-    def sampled(self, cell: Cell, spp: int, budget: int) -> Part:
-        """A plain lattice of at most `spp` evaluations a pixel and `budget` in all."""
-        lattice = self._lattice(spp, False)
+    def sampled(self, cell: Cell, spp: float, budget: int, edges: np.ndarray | None = None) -> Part:
+        """A plain lattice of at most `spp` evaluations a pixel and `budget` in all; the one that suits the `edges`, as in `turned`, if given."""
+        step = 1 if edges is None or spp < SUITED else _STEP
+        spp = math.floor(spp / step) * step
+        lattice = self._suited(spp, edges)
         while spp > 1 and lattice.points(cell) > budget:
             # a cut pattern can hold more than its share
-            spp -= 1
-            lattice = self._lattice(spp, False)
+            spp = max(1, spp - step)
+            lattice = self._suited(spp, edges)
         whole = cell
         if self.task.boundary == "extend":
             whole = Cell(cell.row, cell.col, cell.height, -(-cell.width // _COLUMNS) * _COLUMNS)
@@ -238,16 +245,22 @@ class Parts:
         part = Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, count, blind)
         return part, allowed
 
-    def _lattice(self, spp: int, lines: bool) -> LatticeRound:
-        if (spp, lines) not in self._lattices:
+    def _suited(self, spp: float, edges: np.ndarray | None) -> LatticeRound:
+        return self._lattice(spp, False, None if edges is None or spp < SUITED else turned(spp, edges))
+
+    def _lattice(self, spp: float, lines: bool, chosen: tuple[int, int, int] | None = None) -> LatticeRound:
+        if (spp, lines, chosen) not in self._lattices:
             if len(self._lattices) >= _LATTICES:
                 # their weights are as large as a cell's samples
                 self._lattices.pop(next(iter(self._lattices)))
             # the plain one is pooled with the other, so it must be independent
             number = self.number if lines else self.number + _MORE
             audited = self.audited or not lines
-            self._lattices[spp, lines] = LatticeRound(self.task, spp + (lines and audited), number, lines=lines, audited=audited)
-        return self._lattices[spp, lines]
+            points = spp + (lines and audited)
+            self._lattices[spp, lines, chosen] = LatticeRound(
+                self.task, points, number, lines=lines, audited=audited, chosen=chosen
+            )
+        return self._lattices[spp, lines, chosen]
 
     def _around(self, cell: Cell) -> Cell:
         """The cell and at least a pixel around it, in which segments may begin that reach into its pixels' filters; not beyond a closed screen."""

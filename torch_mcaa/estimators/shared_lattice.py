@@ -52,24 +52,26 @@ class LatticeRound(Round):
     """One lattice rule over the screen. With `contrast` it brings its variance: character sums, audit and floor; without, values only.
 
     With `lines` its points lie on lines along both axes, 1 px apart, as many lines a pixel as points. Without `audited` there is no audit.
+    With `chosen`, (period, count, generator), it is that lattice.
     """
 
     def __init__(
         self,
         task: Task,
-        spp: int,
+        spp: float,
         number: int,
         replicate: int = 0,
         contrast: bool = True,
         lines: bool = False,
         audited: bool = True,
+        chosen: tuple[int, int, int] | None = None,
     ) -> None:
         sx, sy = (float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
         self.task = task
         audited = audited and contrast
         # rounds are compared with one another: what one is blind to the next should see
         self.strip = Lattice().strip(
-            spp, replicate, audited, (sx, sy), lines, mirrored=number % 2 == 1, sides=sides(task.filter) if lines else None
+            spp, replicate, audited, (sx, sy), lines, number % 2 == 1, sides(task.filter) if lines else None, chosen
         )
         self.contrast = contrast
         # a strip without a point to spare has no audit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,24 +104,28 @@ class Lattice(Pattern):
 
     def strip(
         self,
-        spp: int,
+        spp: float,
         replicate: int,
         audited: bool,
         shift: tuple[float, float],
         lines: bool = False,
         mirrored: bool = False,
         sides: float | None = None,
+        chosen: tuple[int, int, int] | None = None,
     ) -> Strip:
         """The strip for `spp` evaluations a pixel; other replicates have other generators, so no tone is on the dual vectors of all.
 
         With `audited` at least one evaluation of each strip is left over for a point off the lattice, but for spp = 1. With `lines` the
         period is 1, so that the points lie 1 px apart on lines along both axes, as many lines a pixel as points. The `mirrored` lattice has
         other dual vectors that are as long. With `sides` the shift is moved to where the lines lie halfway about that fraction of a pixel.
+        With `chosen`, (period, count, generator), it is that one.
         """
-        period, count, generator = STRIPS[max(s for s in STRIPS if s <= spp)]
-        if replicate or not audited or lines or spp > max(STRIPS):
+        period, count, generator = chosen or STRIPS[max(s for s in STRIPS if s <= spp)]
+        if chosen:
+            mirrored = False
+        elif replicate or not audited or lines or spp > max(STRIPS):
             period = 1 if lines or spp > max(STRIPS) else period
-            count = spp * period - (1 if audited and spp > 1 else 0)
+            count = math.floor(spp) * period - (1 if audited and spp > 1 else 0)
             count += count % 2 - 1
             ranked = ranked_generators(count, period)
             generator = ranked[replicate // 2 % len(ranked)][1]

@@ -39,11 +39,16 @@ def dual_vectors(count: int, generator: int, period: int) -> np.ndarray:
     return _STEPS @ np.stack([a, b])
 
 
-def _edge_error(dual: np.ndarray, angles: np.ndarray) -> float:
+def edge_power(dual: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """(A,): the variance of the lattice rule on an edge of 1, with its normal at each of the angles, from the power on the dual vectors."""
     normal = np.stack([np.cos(angles), np.sin(angles)])
     across, along = dual @ normal, dual @ np.stack([-normal[1], normal[0]])
     power = np.exp(-((2 * math.pi * _STD * along) ** 2)) / (4 * math.pi**2 * (across**2 + 0.1))
-    return math.sqrt(power.sum(0).mean() * 0.5642)
+    return power.sum(0) * 0.5642
+
+
+def _edge_error(dual: np.ndarray, angles: np.ndarray) -> float:
+    return math.sqrt(edge_power(dual, angles).mean())
 
 
 def badness(count: int, generator: int, period: int) -> float:
