@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,7 +15,6 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
@@ -24,15 +23,16 @@ from torch_mcaa.estimators.further import sampled_first, sampled_further
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, EXACT, MODELS, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
-from torch_mcaa.estimators.resolved import Grid, Resolved
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
-from torch_mcaa.estimators.steepness import steepness_of
-from torch_mcaa.estimators.suited import suited
 from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.tolerance import Tolerance
+
+# a tolerance's part, which pictures without one do not need
+if TYPE_CHECKING:
+    from torch_mcaa.estimators.resolved import Resolved
 
 _PILOT = 0x9110
 _SURE = 12
@@ -175,6 +175,9 @@ class AutoRound(Round):
         self.resolved: Resolved | None = None
         # what f's frequencies ask for is known of products alone
         if wanted is not None and jumps is not False and self.first and isinstance(task.filter, SeparableFilter):
+            from torch_mcaa.estimators.bandwidth import Bandwidth
+            from torch_mcaa.estimators.resolved import Resolved
+
             self.resolved = Resolved(task, Bandwidth(task.filter), wanted, self.parts.seed)
 
     def points(self, cell: Cell) -> int:
@@ -238,7 +241,7 @@ class AutoRound(Round):
         channels = self.task.integrand.channels
         codes = values[channels:, :, None] if self.task.followed else None
         values = values[:channels]
-        grid = Grid(float(x), float(y), row, col, values)
+        place = float(x), float(y), row, col, values
         x, y = x[None].to(self.task.device), y[None].to(self.task.device)
         samples = Everywhere(x, y, 0, row, col, values[:, :, None], codes=codes)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
@@ -259,17 +262,22 @@ class AutoRound(Round):
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         counts, done, taken = None, [], 0
         if self.resolved is not None:
+            from torch_mcaa.estimators.steepness import steepness_of
+
             assert self.wanted is not None
             steep = steepness_of(ask, cell, values, parts.seed)
             allowed = self.wanted.allowed(steep.mean)
             counts = self.resolved.bandwidth.points(steep.frequency, steep.std, allowed)
             if resolved is not None and not parts.random:
+                from torch_mcaa.estimators.resolved import Grid
+                from torch_mcaa.estimators.suited import suited
+
                 assert self.most is not None
                 # beside an edge lines are better, that meet what the pilot missed of it
                 jumps = bool((judged.verdict == Verdict.JUMPS).any())
                 smooth = judged.verdict == Verdict.CONTINUOUS if jumps else judged.verdict != Verdict.NOISE
                 chosen = suited(resolved.bandwidth, steep, allowed, smooth.cpu())
-                done, taken = resolved.parts(cell, chosen, grid, ask, (self.most - self.spp) * cell.height * cell.width)
+                done, taken = resolved.parts(cell, chosen, Grid(*place), ask, (self.most - self.spp) * cell.height * cell.width)
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
         steps = [
             torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
