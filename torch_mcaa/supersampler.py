@@ -31,7 +31,8 @@ class Supersampler(torch.nn.Module):
     from those, located by what crosses zero there, as the gradient does. Its gradient is that of (1): with respect to what f(x, y) uses
     (parameters of a module, tensors of a closure), and, with the derivative moved onto the filter, with respect to an `extent`, the
     `transform` of a `Texture` and the std of a `Gaussian`. The forward pass keeps no tape: the backward pass evaluates f again, in blocks, so
-    memory does not grow with `spp`. What f reads must not change between the two, and f must not draw random numbers.
+    memory does not grow with `spp`. The variables that a plain Python function f reads are held at what they were; whatever else f reads must
+    not change between the two (McaaError), and f must not draw random numbers.
 
     A `Texture` whose rows and columns are the screen's, such as those of a batch, is exact under `Auto()`, and so is the gradient of its texels.
 
@@ -109,7 +110,8 @@ class Supersampler(torch.nn.Module):
         Raises:
             McaaError: an f that breaks its contract, lies on another device or uses tensors in a way that cannot be followed; a
                 transform whose horizon lies on the screen, or a filter or boundary for which a wanted gradient does not exist. From the
-                backward pass: f raised, or used tensors it had not used before; a second derivative was asked for.
+                backward pass: f raised, changed since the forward pass, or used tensors it had not used before; a second derivative was
+                asked for.
         """
         if torch.compiler.is_compiling():
             eager: Any = torch.compiler.disable(self._forward)

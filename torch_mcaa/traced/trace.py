@@ -148,6 +148,11 @@ def eagerly() -> AbstractContextManager[Any]:
     return torch.compiler.set_stance("force_eager") if "torch._dynamo" in sys.modules else nullcontext()
 
 
+def wrapped(tensor: Tensor) -> bool:
+    """Whether it lives inside vmap or another transform of functions only."""
+    return torch._C._functorch.is_functorch_wrapped_tensor(tensor)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def changed_program(what: str) -> McaaError:
     return McaaError(
         f"f took other decisions than before: {what}; its Python control flow depends on values: write it with torch.where, "
