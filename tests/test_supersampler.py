@@ -36,6 +36,23 @@ def _step(x: Tensor, edge: Tensor) -> Tensor:
     return (x < edge).to(torch.float32)
 
 
+def _floored(d: Tensor) -> Tensor:
+    d = d / 40
+    d //= 1
+    return d + 1
+
+
+STEPS: dict[str, Callable[[Tensor], Tensor]] = {
+    "heaviside": lambda d: torch.heaviside(d, torch.ones(())),
+    "heaviside_": lambda d: d.heaviside_(torch.ones(())),
+    "//": lambda d: d // 40 + 1,
+    "//=": _floored,
+    "number //": lambda d: 5 // (5 - d / 20),
+    "floor_divide": lambda d: torch.floor_divide(d, other=40) + 1,
+    "floor_divide_": lambda d: d.floor_divide_(40) + 1,
+}
+
+
 class Net(torch.nn.Module):
     """A small coordinate network of three channels."""
 
@@ -206,6 +223,30 @@ class TestGradients:
         mcaa.Supersampler(SIZE, estimator=mcaa.Shared())(f).sum().backward()
         assert centre.grad is not None
         torch.testing.assert_close(centre.grad, torch.tensor([-2.0 * SIZE[0] * SIZE[1], 0.0]), rtol=1e-4, atol=1e-4)
+
+    @pytest.mark.parametrize("name", STEPS)
+    def test_steps_whose_slope_autograd_does_not_know(self, name: str) -> None:
+        """That of the same step by a comparison, beside a smooth part."""
+        found = []
+        for step in (STEPS[name], lambda d: (d > 0).to(d)):
+            radius = torch.tensor(5.0, requires_grad=True)
+
+            def f(x: Tensor, y: Tensor, r: Tensor = radius, step: Callable[[Tensor], Tensor] = step) -> Tensor:
+                return step(r - torch.hypot(x - 8.2, y - 8)) + torch.sin(r * x / 9)
+
+            layer = mcaa.Supersampler((16, 16), estimator=mcaa.Shared())
+            layer(f).square().sum().backward()
+            found.append(radius.grad)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                mcaa.Supersampler((16, 16), discontinuities=False)(f).sum().backward()
+        torch.testing.assert_close(*found, rtol=1e-3, atol=0)
+
+    def test_what_pytorch_cannot_differentiate_is_named(self) -> None:
+        p = torch.tensor(2.0, requires_grad=True)
+        picture = mcaa.Supersampler(SIZE)(lambda x, y: torch.special.zeta(p + x.abs(), y.abs() + 1))
+        with pytest.raises(McaaError, match="cannot differentiate.*zeta.*detached"):
+            picture.sum().backward()
 
     def test_second_derivatives_are_refused(self) -> None:
         p = torch.tensor([0.7, 0.3, 1.1], requires_grad=True)

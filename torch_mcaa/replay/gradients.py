@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -23,6 +24,7 @@ from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples, strip_of
 from torch_mcaa.replay.terms import Block, OfFilter, OfInputs, OfPlaces, Parts
 from torch_mcaa.replay.unchanged import Noted
+from torch_mcaa.traced.decisions import Called
 from torch_mcaa.traced.program import Program
 
 
@@ -108,6 +110,6 @@ class Replay:
         rows = int(row.min()), int(row.max())
         asked = task.screen.coordinate_dtype(Cell(rows[0], samples.col, rows[1] - rows[0] + 1, samples.cols), task.dtype)
         x, y = task.screen.x_of(col).to(asked), task.screen.y_of(row).to(asked)
-        with torch.enable_grad():
+        with torch.enable_grad(), Called() if self.inputs.steps else nullcontext():
             values = task.integrand(x.expand(len(row), *col.shape), y)
         return Block(strips, planes, col, row, inside, values)
