@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 from torch.utils.checkpoint import checkpoint
 
 import torch_mcaa as mcaa
@@ -281,6 +282,21 @@ class TestPyTorch:
             # the filter's own tensor, not another one of its value
             assert parameter is not next(layer.parameters()) and parameter is other.filter.learned[0]
 
+    @pytest.mark.parametrize("default", [torch.bfloat16, torch.float16, torch.float64])
+    def test_made_under_another_default_dtype(self, default: torch.dtype) -> None:
+        weight, before = torch.tensor(2.0, requires_grad=True), torch.get_default_dtype()
+        try:
+            torch.set_default_dtype(default)
+            layer = mcaa.Supersampler(SIZE, redraw=False)
+            picture = layer(lambda x, y: weight * torch.hypot(x - 2, y - 3) + (x < 1 + weight))
+            picture.sum().backward()
+        finally:
+            torch.set_default_dtype(before)
+        assert picture.dtype == (torch.float64 if default == torch.float64 else torch.float32)
+        again = torch.tensor(2.0, requires_grad=True)
+        mcaa.Supersampler(SIZE, redraw=False)(lambda x, y: again * torch.hypot(x - 2, y - 3) + (x < 1 + again)).sum().backward()
+        torch.testing.assert_close(weight.grad, again.grad, rtol=1e-3, atol=0)
+
     def test_moved_to_another_dtype(self) -> None:
         layer = mcaa.Supersampler(SIZE)
         assert layer(scenes.Disc(3, 2, 1.5)).dtype == torch.float32
@@ -406,6 +422,33 @@ class TestBadInput:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("error")
             layer(lambda x, y: step(x, radius))
+
+    def test_transforms_of_functions_are_refused(self) -> None:
+        layer = mcaa.Supersampler(SIZE)
+
+        def loss(p: Tensor) -> Tensor:
+            return layer(lambda x, y: p * x).sum()
+
+        def dual(p: Tensor) -> Tensor:
+            with forward_ad.dual_level():
+                return loss(forward_ad.make_dual(p, p))
+
+        p = torch.tensor(2.0)
+        for transformed in (
+            torch.func.grad(loss),
+            lambda p: torch.func.jvp(loss, (p,), (p,)),
+            lambda p: torch.func.vmap(loss)(p.expand(3)),
+            torch.func.jacrev(loss),
+            dual,
+        ):
+            # PyTorch scripts its own derivatives at the first jvp, and deprecates that
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FutureWarning)
+                with pytest.raises(McaaError, match=r"torch.autograd: loss.backward\(\)"):
+                    transformed(p)
+        with pytest.raises(McaaError, match="backward pass of its own"):
+            torch.func.grad(lambda t: layer(t).sum())(torch.rand(1, 1, 4, 4))
+        loss(p.requires_grad_()).backward()
 
     def test_a_module_that_ignores_its_parameters(self) -> None:
         class Ignores(Net):
