@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 from torch.utils.checkpoint import checkpoint
 
 import torch_mcaa as mcaa
@@ -34,6 +35,23 @@ def waves(p: Tensor) -> Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]:
 
 def _step(x: Tensor, edge: Tensor) -> Tensor:
     return (x < edge).to(torch.float32)
+
+
+def _floored(d: Tensor) -> Tensor:
+    d = d / 40
+    d //= 1
+    return d + 1
+
+
+STEPS: dict[str, Callable[[Tensor], Tensor]] = {
+    "heaviside": lambda d: torch.heaviside(d, torch.ones(())),
+    "heaviside_": lambda d: d.heaviside_(torch.ones(())),
+    "//": lambda d: d // 40 + 1,
+    "//=": _floored,
+    "number //": lambda d: 5 // (5 - d / 20),
+    "floor_divide": lambda d: torch.floor_divide(d, other=40) + 1,
+    "floor_divide_": lambda d: d.floor_divide_(40) + 1,
+}
 
 
 class Net(torch.nn.Module):
@@ -207,6 +225,30 @@ class TestGradients:
         assert centre.grad is not None
         torch.testing.assert_close(centre.grad, torch.tensor([-2.0 * SIZE[0] * SIZE[1], 0.0]), rtol=1e-4, atol=1e-4)
 
+    @pytest.mark.parametrize("name", STEPS)
+    def test_steps_whose_slope_autograd_does_not_know(self, name: str) -> None:
+        """That of the same step by a comparison, beside a smooth part."""
+        found = []
+        for step in (STEPS[name], lambda d: (d > 0).to(d)):
+            radius = torch.tensor(5.0, requires_grad=True)
+
+            def f(x: Tensor, y: Tensor, r: Tensor = radius, step: Callable[[Tensor], Tensor] = step) -> Tensor:
+                return step(r - torch.hypot(x - 8.2, y - 8)) + torch.sin(r * x / 9)
+
+            layer = mcaa.Supersampler((16, 16), estimator=mcaa.Shared())
+            layer(f).square().sum().backward()
+            found.append(radius.grad)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                mcaa.Supersampler((16, 16), discontinuities=False)(f).sum().backward()
+        torch.testing.assert_close(*found, rtol=1e-3, atol=0)
+
+    def test_what_pytorch_cannot_differentiate_is_named(self) -> None:
+        p = torch.tensor(2.0, requires_grad=True)
+        picture = mcaa.Supersampler(SIZE)(lambda x, y: torch.special.zeta(p + x.abs(), y.abs() + 1))
+        with pytest.raises(McaaError, match="cannot differentiate.*zeta.*detached"):
+            picture.sum().backward()
+
     def test_second_derivatives_are_refused(self) -> None:
         p = torch.tensor([0.7, 0.3, 1.1], requires_grad=True)
         (first,) = torch.autograd.grad(mcaa.Supersampler(SIZE)(waves(p)).sum(), p, create_graph=True)
@@ -239,6 +281,21 @@ class TestPyTorch:
             (parameter,) = other.parameters()
             # the filter's own tensor, not another one of its value
             assert parameter is not next(layer.parameters()) and parameter is other.filter.learned[0]
+
+    @pytest.mark.parametrize("default", [torch.bfloat16, torch.float16, torch.float64])
+    def test_made_under_another_default_dtype(self, default: torch.dtype) -> None:
+        weight, before = torch.tensor(2.0, requires_grad=True), torch.get_default_dtype()
+        try:
+            torch.set_default_dtype(default)
+            layer = mcaa.Supersampler(SIZE, redraw=False)
+            picture = layer(lambda x, y: weight * torch.hypot(x - 2, y - 3) + (x < 1 + weight))
+            picture.sum().backward()
+        finally:
+            torch.set_default_dtype(before)
+        assert picture.dtype == (torch.float64 if default == torch.float64 else torch.float32)
+        again = torch.tensor(2.0, requires_grad=True)
+        mcaa.Supersampler(SIZE, redraw=False)(lambda x, y: again * torch.hypot(x - 2, y - 3) + (x < 1 + again)).sum().backward()
+        torch.testing.assert_close(weight.grad, again.grad, rtol=1e-3, atol=0)
 
     def test_moved_to_another_dtype(self) -> None:
         layer = mcaa.Supersampler(SIZE)
@@ -365,6 +422,33 @@ class TestBadInput:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("error")
             layer(lambda x, y: step(x, radius))
+
+    def test_transforms_of_functions_are_refused(self) -> None:
+        layer = mcaa.Supersampler(SIZE)
+
+        def loss(p: Tensor) -> Tensor:
+            return layer(lambda x, y: p * x).sum()
+
+        def dual(p: Tensor) -> Tensor:
+            with forward_ad.dual_level():
+                return loss(forward_ad.make_dual(p, p))
+
+        p = torch.tensor(2.0)
+        for transformed in (
+            torch.func.grad(loss),
+            lambda p: torch.func.jvp(loss, (p,), (p,)),
+            lambda p: torch.func.vmap(loss)(p.expand(3)),
+            torch.func.jacrev(loss),
+            dual,
+        ):
+            # PyTorch scripts its own derivatives at the first jvp, and deprecates that
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", FutureWarning)
+                with pytest.raises(McaaError, match=r"torch.autograd: loss.backward\(\)"):
+                    transformed(p)
+        with pytest.raises(McaaError, match="backward pass of its own"):
+            torch.func.grad(lambda t: layer(t).sum())(torch.rand(1, 1, 4, 4))
+        loss(p.requires_grad_()).backward()
 
     def test_a_module_that_ignores_its_parameters(self) -> None:
         class Ignores(Net):

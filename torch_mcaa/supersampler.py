@@ -31,14 +31,16 @@ class Supersampler(torch.nn.Module):
     from those, located by what crosses zero there, as the gradient does. Its gradient is that of (1): with respect to what f(x, y) uses
     (parameters of a module, tensors of a closure), and, with the derivative moved onto the filter, with respect to an `extent`, the
     `transform` of a `Texture` and the std of a `Gaussian`. The forward pass keeps no tape: the backward pass evaluates f again, in blocks, so
-    memory does not grow with `spp`. What f reads must not change between the two, and f must not draw random numbers.
+    memory does not grow with `spp`. The variables that a plain Python function f reads are held at what they were; whatever else f reads must
+    not change between the two (McaaError), and f must not draw random numbers.
 
     A `Texture` whose rows and columns are the screen's, such as those of a batch, is exact under `Auto()`, and so is the gradient of its texels.
 
     With `estimator=Shared(Lattice())` and `decorrelate=False` the backward pass has the forward's points, and its gradient with respect to
     what f uses is the exact derivative of the returned value.
 
-    Pictures are float32 on the CPU unless the layer is converted, as by `layer.double()` or `layer.to("cuda")`; textures bring their own.
+    Pictures are float32 (float64 where that is the default dtype) on the CPU unless the layer is converted, as by `layer.double()` or
+    `layer.to("cuda")`; textures bring their own.
 
     Attributes:
         calls: how often the layer was called, part of its `state_dict`. A call has `seed` plus the calls before it as its seed.
@@ -88,7 +90,9 @@ class Supersampler(torch.nn.Module):
         self.calls = 0
         self._since_recomputed = 0
         # holds nothing but the layer's dtype and device
-        self.register_buffer("_like", torch.empty(0), persistent=False)
+        default = torch.get_default_dtype()
+        dtype = default if default == torch.float64 else torch.float32
+        self.register_buffer("_like", torch.empty(0, dtype=dtype), persistent=False)
         self._like: Tensor
         # `render` refuses now what it would refuse later
         Screen.of(size, self._extent())
@@ -107,9 +111,11 @@ class Supersampler(torch.nn.Module):
                 several times before the backward pass is to be told which.
 
         Raises:
-            McaaError: an f that breaks its contract, lies on another device or uses tensors in a way that cannot be followed; a
+            McaaError: a call inside torch.func.grad, vmap or the like;
+                an f that breaks its contract, lies on another device or uses tensors in a way that cannot be followed; a
                 transform whose horizon lies on the screen, or a filter or boundary for which a wanted gradient does not exist. From the
-                backward pass: f raised, or used tensors it had not used before; a second derivative was asked for.
+                backward pass: f raised, changed since the forward pass, or used tensors it had not used before; a second derivative was
+                asked for.
         """
         if torch.compiler.is_compiling():
             eager: Any = torch.compiler.disable(self._forward)
@@ -117,6 +123,11 @@ class Supersampler(torch.nn.Module):
         return self._forward(f, call)
 
     def _forward(self, f: Function | Tensor, call: int | None) -> Tensor:
+        if _transformed():
+            raise McaaError(
+                "the layer has a backward pass of its own and works with torch.autograd: loss.backward() or torch.autograd.grad(); it was called "
+                "inside a transform of functions (torch.func.grad, vjp, jvp, vmap and the like, or forward_ad), which it cannot be part of"
+            )
         seed = (self.seed + self._number(call)) % 2**64
         if not isinstance(f, Tensor):
             return self._picture(f, seed, self._like.dtype, self._like.device)
@@ -211,3 +222,9 @@ class Supersampler(torch.nn.Module):
 
     def extra_repr(self) -> str:
         return f"{self.size}, filter={self.filter}, estimator={self.estimator}, spp={self.spp}, boundary={self.boundary!r}, seed={self.seed}"
+
+
+def _transformed() -> bool:
+    """Whether the call is inside a transform of torch.func, or a level of forward-mode differentiation."""
+    inside = torch._C._functorch.peek_interpreter_stack()  # pyright: ignore[reportAttributeAccessIssue]
+    return inside is not None or torch.autograd.forward_ad._current_level >= 0

@@ -17,6 +17,7 @@ from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
+from torch_mcaa.traced.decisions import called, lacks_derivative
 from torch_mcaa.traced.program import tensors_in
 from torch_mcaa.traced.trace import eagerly
 
@@ -31,12 +32,14 @@ class Dependencies:
         tensors: all of them, each once.
         smooth: whether f's values have a gradient, as far as autograd knows.
         own: how many leaves of their graph f makes itself, as for a slope inside it.
+        steps: whether f uses steps whose slope of 0 autograd does not know.
         severed: the methods by which f turns a tensor that requires a gradient into a number, where no gradient passes.
     """
 
     tensors: tuple[Tensor, ...]
     smooth: bool
     own: int
+    steps: bool = False
     severed: frozenset[str] = frozenset()
 
 
@@ -72,7 +75,8 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
         )
     common = {key: leaf for key, leaf in leaves.items() if key in others_leaves}
     smooth = any(value.requires_grad for value in graphs[1])
-    return Dependencies(tuple({**outside, **common}.values()), smooth, len(others_leaves) - len(common), frozenset(runs[1].severed))
+    own, severed = len(others_leaves) - len(common), frozenset(runs[1].severed)
+    return Dependencies(tuple({**outside, **common}.values()), smooth, own, runs[1].steps, severed)
 
 
 def check_reached(values: Sequence[Tensor], known: Dependencies) -> None:
@@ -98,6 +102,7 @@ class _Noting(TorchFunctionMode):
         # the tensors are held, so that no other gets an identity of theirs
         self.noted: dict[int, Tensor] = {}
         self.severed: set[str] = set()
+        self.steps = False
 
     def during(self, f: Function) -> Function:
         def noted(x: Tensor, y: Tensor) -> object:
@@ -112,7 +117,8 @@ class _Noting(TorchFunctionMode):
                 self.noted[id(argument)] = argument
                 if getattr(func, "__name__", "") in _SEVERING:
                     self.severed.add(func.__name__)
-        return func(*args, **(kwargs or {}))
+        self.steps |= lacks_derivative(func)
+        return called(func, args, kwargs or {})
 
 
 def _walk(values: Iterable[Tensor], stops: Iterable[Tensor]) -> tuple[set[Node], dict[int, Tensor]]:

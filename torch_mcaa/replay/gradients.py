@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -22,6 +23,8 @@ from torch_mcaa.replay.jumps import OfJumps
 from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples, strip_of
 from torch_mcaa.replay.terms import Block, OfFilter, OfInputs, OfPlaces, Parts
+from torch_mcaa.replay.unchanged import Noted
+from torch_mcaa.traced.decisions import Called
 from torch_mcaa.traced.program import Program
 
 
@@ -35,6 +38,7 @@ class Replay:
         program: the decisions of f, if its jumps count.
         inputs: what f depends on.
         moved: the parameters of where f is asked.
+        noted: what f was in the forward pass.
     """
 
     task: Task
@@ -42,6 +46,7 @@ class Replay:
     program: Program | None
     inputs: Dependencies
     moved: Moved
+    noted: Noted
 
     @property
     def parameters(self) -> tuple[Tensor, ...]:
@@ -54,9 +59,10 @@ class Replay:
         grad: (C, H, W), with respect to the picture; value: (C, H, W), the picture.
 
         Raises:
-            McaaError: f raised, or uses tensors it had not used before.
+            McaaError: f raised, is not what it was in the forward pass, or uses tensors it had not used before.
         """
         task, filter, moved = self.task, self.task.filter, self.moved
+        self.noted.check(task.integrand.function)
         grad = grad.detach().to(task.device, task.dtype)
         totals: list[Tensor | None] = [None] * len(self.parameters)
 
@@ -104,6 +110,6 @@ class Replay:
         rows = int(row.min()), int(row.max())
         asked = task.screen.coordinate_dtype(Cell(rows[0], samples.col, rows[1] - rows[0] + 1, samples.cols), task.dtype)
         x, y = task.screen.x_of(col).to(asked), task.screen.y_of(row).to(asked)
-        with torch.enable_grad():
+        with torch.enable_grad(), Called() if self.inputs.steps else nullcontext():
             values = task.integrand(x.expand(len(row), *col.shape), y)
         return Block(strips, planes, col, row, inside, values)

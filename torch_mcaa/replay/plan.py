@@ -15,9 +15,11 @@ from torch_mcaa.estimators.base import Task
 from torch_mcaa.integrand import Function
 from torch_mcaa.replay.adjoint import reach_of
 from torch_mcaa.replay.autocast import Autocast
+from torch_mcaa.replay.bound import bound
 from torch_mcaa.replay.dependencies import dependencies
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.moved import Moved, is_continuous
+from torch_mcaa.replay.unchanged import Noted
 from torch_mcaa.texture import Texture
 from torch_mcaa.traced.followed import Followed
 from torch_mcaa.traced.program import Program, probe
@@ -38,7 +40,7 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
         McaaError: see `Supersampler.forward`.
     """
     f, moved = _held(task, extent)
-    task = replace(task, integrand=replace(task.integrand, function=autocast.of(f)))
+    task = replace(task, integrand=replace(task.integrand, function=autocast.of(bound(f))))
     col, row = (rng.uniform(task.seed, _PROBE, axis, torch.arange(_PROBED), dtype=torch.float64) for axis in (0, 1))
     x, y = task.screen.x_of(col * task.screen.width), task.screen.y_of(row * task.screen.height)
     x, y = (t.to(task.device, task.dtype) for t in (x, y))
@@ -77,7 +79,8 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
     if decorrelate:
         high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
         task = replace(task, seed=high << 32 | low)
-    return Replay(task, spp, program, found, moved)
+    noted = Noted.now(task.integrand.function, x, y, (*task.filter.learned, *moved.parameters))
+    return Replay(task, spp, program, found, moved, noted)
 
 
 def followed(task: Task, function: Function) -> Function:

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.overrides import handle_torch_function, has_torch_function_unary
+from torch.overrides import TorchFunctionMode, handle_torch_function, has_torch_function_unary
 
 from torch_mcaa.errors import McaaError
 
@@ -70,6 +70,37 @@ _IN_PLACE = ("iadd", "isub", "imul", "idiv", "itruediv", "ifloordiv", "imod", "i
 def rule_of(function: Any) -> Rule | None:
     """The rule for a function that `__torch_function__` is given, None if it decides nothing."""
     return None if getattr(function, "__name__", "") in ESCAPES else _RULES.get(name_of(function))
+
+
+_WITHOUT_DERIVATIVE = ("heaviside", "floor_divide", "floordiv", "rfloordiv")
+"""Steps for which autograd raises in the place of a slope of 0."""
+
+
+def lacks_derivative(function: Any) -> bool:
+    """Whether the function decides, and its slope, which is 0, is not known to autograd."""
+    return name_of(function) in _WITHOUT_DERIVATIVE
+
+
+def called(function: Any, args: Sequence[Any], kwargs: Arguments) -> Any:
+    """function(*args, **kwargs), where it `lacks_derivative` without a graph to what it decides on."""
+    if not lacks_derivative(function):
+        return function(*args, **kwargs)
+    plain, named = [_detached(a) for a in args], {name: _detached(a) for name, a in kwargs.items()}
+    if in_place(function):
+        # a copy of its values, so that the graph of what was there is left behind
+        return args[0].copy_(function(plain[0].clone(), *plain[1:], **named))
+    return function(*plain, **named)
+
+
+def _detached(value: Any) -> Any:
+    return value.detach() if isinstance(value, Tensor) else value
+
+
+class Called(TorchFunctionMode):
+    """While it is active, all functions are `called`."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Arguments | None = None) -> Any:
+        return called(func, args, kwargs or {})
 
 
 def _floating(value: Any) -> bool:

@@ -16,11 +16,13 @@ def derivatives(
     """Of the sum of the outputs, or of their products with `weights`, by each input; None for one that is not reached.
 
     Raises:
-        McaaError: f changes in place what its own derivative needs.
+        McaaError: f changes in place what its own derivative needs, or uses an operation whose derivative PyTorch does not have.
     """
     try:
         return torch.autograd.grad(outputs, inputs, weights, allow_unused=True)
     except RuntimeError as error:
+        if "is not implemented" in str(error):
+            raise McaaError(f"f uses an operation that PyTorch cannot differentiate: {error}; give it detached tensors") from error
         if "inplace" not in str(error):
             raise
         raise McaaError(

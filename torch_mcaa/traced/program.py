@@ -13,7 +13,7 @@ from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, name_of
-from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where
+from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where, wrapped
 
 _PROBE = 0x960BE
 _COUNTS = 13, 17
@@ -183,8 +183,7 @@ class _Probe(Watch):
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
-        wrapped = torch._C._functorch.is_functorch_wrapped_tensor(codes)  # pyright: ignore[reportAttributeAccessIssue]
-        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, wrapped))
+        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, wrapped(codes)))
 
     def _note(self, tensor: Tensor, depends: int) -> None:
         self._depends[id(tensor)] = self._depends.get(id(tensor), 0) | depends

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import McaaError
-from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, rule_of
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, called, in_place, rule_of
 
 _HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
 """Our code, and PyTorch's."""
@@ -65,7 +65,7 @@ class Watch(TorchFunctionMode):
         if in_place(func) or "out" in kwargs:
             # the margin is of what was there before
             given = [a.clone() if isinstance(a, Tensor) else a for a in given]
-        result = func(*args, **kwargs)
+        result = called(func, args, kwargs)
         decision = rule(given, kwargs, result)
         if decision is not None:
             self._visit(self.number, decision, func)
@@ -146,6 +146,11 @@ class Lanes:
 def eagerly() -> AbstractContextManager[Any]:
     """Compiled code runs uncompiled inside, so that its decisions are seen; where nothing is compiled no compiler is imported."""
     return torch.compiler.set_stance("force_eager") if "torch._dynamo" in sys.modules else nullcontext()
+
+
+def wrapped(tensor: Tensor) -> bool:
+    """Whether it lives inside vmap or another transform of functions only."""
+    return torch._C._functorch.is_functorch_wrapped_tensor(tensor)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def changed_program(what: str) -> McaaError:
