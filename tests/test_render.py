@@ -844,10 +844,16 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert picture.stopped == "tolerance"
 
 
-def test_a_round_without_a_point_does_not_spoil_the_next() -> None:
-    """A box of 0.3 px meets no point of the first four in some pixels, and one of the later ones in all but few."""
-    once = mcaa.render(constant, SIZE, filter=mcaa.Box(0.3), spp=4).image.isnan()
-    picture = mcaa.render(constant, SIZE, filter=mcaa.Box(0.3), spp=256, tolerance=1e-9)
+@pytest.mark.parametrize(("estimator", "width"), [(mcaa.Auto(), 0.3), (mcaa.Shared(), 0.8)], ids=["auto", "shared"])
+def test_a_round_without_a_point_does_not_spoil_the_next(estimator: mcaa.Auto, width: float) -> None:
+    """f is finite on a tenth of the plane: in some pixels none of the first points meets it, and one of the later ones in all."""
+
+    def f(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        return torch.where(((7.3 * x) % 1 < 0.3) & ((5.1 * y) % 1 < 0.3), 0.7, torch.nan)
+
+    arguments = {"filter": mcaa.Box(width), "estimator": estimator, "nonfinite": "ignore"}
+    once = mcaa.render(f, SIZE, spp=4, **arguments).image.isnan()  # type: ignore[arg-type]
+    picture = mcaa.render(f, SIZE, spp=256, tolerance=1e-9, **arguments)  # type: ignore[arg-type]
     assert bool(once.any())
     assert bool(picture.image.isfinite().all())
     assert bool(picture.stderr.isfinite().all())

@@ -20,8 +20,10 @@ from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.directions import directions
 from torch_mcaa.estimators.further import sampled_first, sampled_further
+from torch_mcaa.estimators.importance import Importance
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
-from torch_mcaa.estimators.parts import CROWDED, EXACT, MODELS, SAMPLED, Part, Parts, cell_of, located
+from torch_mcaa.estimators.narrow import LEAST, WORTH, DrawnRound, held
+from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
@@ -63,7 +65,8 @@ class Auto(Estimator):
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
     Where it is noise, has detail everywhere, or jumps more often than can be followed: a shared lattice with all evaluations that are
     left, which suits the directions of the edges that the pilot saw. `Rendering.model` says which. Filters that do not end, or end in a
-    step and are not products that are whole pixels wide, and fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout.
+    step and are not products that are whole pixels wide, and fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout. Of
+    filters narrower than a pixel those that end in a step, or hold too few points of a lattice, have points of their own: `Importance()`.
 
     A `Texture` whose rows and columns are the screen's is not sampled at all: its picture is a sum over texels, exact but for rounding, under
     every filter that separates and ends.
@@ -105,6 +108,8 @@ class Auto(Estimator):
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         if Texels.of(task) is not None:
             return SIDE, SIDE
+        if _drawn(task, spp):
+            return Importance().cell(task, spp, adaptive)
         if not _can_locate(task):
             return Shared().cell(task, spp, adaptive)
         return cell_of(spp, adaptive, task.device)
@@ -112,12 +117,14 @@ class Auto(Estimator):
     def round(self, task: Task, spp: int, number: int) -> Round:
         if texels := Texels.of(task):
             return TexelsRound(texels, EXACT)
+        if _drawn(task, spp):
+            return DrawnRound(task, spp, number, DRAWN)
         if spp < _FEWEST or not _can_locate(task):
             return Shared().round(task, spp, number)
         return AutoRound(task, spp, number)
 
     def round_within(self, task: Task, spp: int, number: int, most: int, wanted: Tolerance, jumps: bool | None) -> Round:
-        if not _can_locate(task) or Texels.of(task) is not None:
+        if not _can_locate(task) or Texels.of(task) is not None or _drawn(task, spp):
             return self.round(task, spp, number)
         return AutoRound(task, spp, number, most=most, wanted=wanted, jumps=jumps if spp >= _FEWEST else False)
 
@@ -128,6 +135,17 @@ def _can_locate(task: Task) -> bool:
     if math.isinf(max(filter.radius)):
         return False
     return not ends_in_step(filter) or sides(filter) is not None
+
+
+def _drawn(task: Task, spp: int) -> bool:
+    """Whether the filter is so narrow that points drawn from it do better than a lattice.
+
+    Where jumps cannot be located nothing but sharing makes up for the points beside it.
+    """
+    if task.boundary == "renormalize" and not isinstance(task.filter, SeparableFilter):
+        return False
+    inside = held(task.filter, spp)
+    return inside < (LEAST if spp < _FEWEST else WORTH) if _can_locate(task) else inside < math.inf
 
 
 class _Seen(NamedTuple):
@@ -201,7 +219,7 @@ class AutoRound(Round):
         for where, _ in done:
             smooth[blocks_in(cell, where)] = True
         most = None if self.most is None else self.most - -(-seen.taken // pixels)
-        plans = plans_of(cell, judged, seen.texture, ask.left - audits, self.plain, second, most or 0, smooth)
+        plans = plans_of(cell, judged, seen.texture, ask.left - audits, self.plain, second, most or 0, smooth, self.parts.fewest)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)

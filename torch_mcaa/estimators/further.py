@@ -32,7 +32,7 @@ def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: in
     pixels = [(where, labels[inside[0]]) for where, inside in cell.rectangles(BLOCK, labels) if labels[inside[0]]]
     total = sum(where.height * where.width * label for where, label in pixels)
     for where, label in pixels:
-        at, count = where.within(cell), max(1, int(label * min(1.0, left / max(1, total))))
+        at, count = where.within(cell), max(parts.fewest, int(label * min(1.0, left / max(1, total))))
         more = parts.sampled(where, count, where.height * where.width * count)
         part.value[:, *at], part.variance[:, *at] = more.value, more.variance
         part.blind[:, *at] = 0 if more.blind is None else more.blind
@@ -71,7 +71,7 @@ def sampled_further(
     ]
     heavy = torch.zeros_like(value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
     density, blind = density.clone(), torch.zeros_like(variance) if part.blind is None else part.blind
-    for where, had, count in _counts(poorest, left, most):
+    for where, had, count in _counts(poorest, left, most, parts.fewest):
         at = where.within(cell)
         suited = None if edges is None else edges[blocks_in(cell, where)].sum(0).numpy()
         more, here = (
@@ -96,17 +96,17 @@ def sampled_further(
     return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density, blind)
 
 
-def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None) -> list[tuple[Cell, int, float]]:
-    """Of parts (cell, what it has had a pixel, spread) those that are given more, and how many evaluations a pixel."""
+def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None, fewest: int) -> list[tuple[Cell, int, float]]:
+    """Of parts (cell, what it has had a pixel, spread) those that are given more, and how many evaluations a pixel: `fewest` or more."""
     while parts:
         pixels = [where.height * where.width for where, _, _ in parts]
         total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))
         each = (left + had) / total if most is None else min(most, (left + had) / total)
         mean = sum(n * spread for n, (_, _, spread) in zip(pixels, parts, strict=True)) / total
         counts = [each * (1 + 2 * spread / mean) / 3 - had for _, had, spread in parts]
-        enough = [had > 0 and count < 1 for (_, had, _), count in zip(parts, counts, strict=True)]
+        enough = [had > 0 and count < fewest for (_, had, _), count in zip(parts, counts, strict=True)]
         if not any(enough):
-            return [(where, had, max(1.0, count)) for (where, had, _), count in zip(parts, counts, strict=True)]
+            return [(where, had, max(float(fewest), count)) for (where, had, _), count in zip(parts, counts, strict=True)]
         parts = [part for part, done in zip(parts, enough, strict=True) if not done]
     return []
 

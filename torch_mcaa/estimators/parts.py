@@ -20,6 +20,7 @@ from torch_mcaa.estimators.base import Estimate, Task, dilated, settled, unseen
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.jump_corrector import Corrector
 from torch_mcaa.estimators.lattice_weights import Geometry
+from torch_mcaa.estimators.narrow import SOME, held
 from torch_mcaa.estimators.owner import Owner
 from torch_mcaa.estimators.shared_lattice import LatticeRound, Look
 from torch_mcaa.grid import Cell
@@ -35,8 +36,9 @@ MODELS = (
     "no jumps to locate: more samples",
     "more jumps than are located: more samples",
     "texels, exactly",
+    "points drawn from the filter",
 )
-PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT = range(6)
+PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT, DRAWN = range(7)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
@@ -122,10 +124,14 @@ class Part:
 
 
 class Parts:
-    """The parts of one round; `number` is the round's. `audited`: lattices whose jumps are located have points off them, too."""
+    """The parts of one round; `number` is the round's. `audited`: lattices whose jumps are located have points off them, too.
+
+    `fewest`: the points of a lattice, of which a narrow filter holds enough.
+    """
 
     def __init__(self, task: Task, number: int, audited: bool) -> None:
         self.task, self.number, self.audited = task, number, audited
+        self.fewest = max(1, math.ceil(SOME / held(task.filter, 1)))
         self.seed = int(rng.bits(task.seed, _STREAM, number))
         self.random = False
         self._lattices: dict[tuple[float, bool, tuple[int, int, int] | None], LatticeRound] = {}
@@ -175,7 +181,8 @@ class Parts:
         """
         task = self.task
         pixels = sum(each.height * each.width for each in rectangles)
-        while count > FEWEST and (count + self.audited) * pixels > budget:
+        fewest = max(FEWEST, self.fewest)
+        while count - 2 >= fewest and (count + self.audited) * pixels > budget:
             count -= 2
         if (count + self.audited) * pixels > budget:
             spp = budget // pixels

@@ -56,11 +56,12 @@ def plans_of(
     second: int,
     ample: int = 0,
     done: Tensor | None = None,
+    fewest: int = _FEWEST_LINES,
 ) -> list[Plan]:
     """Those for the blocks of a cell that are not `done`, the one of the most lines last: as many as `budget` evaluations are expected to pay for.
 
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
-    `ample` evaluations a pixel if they need them for three lines.
+    `ample` evaluations a pixel if they need them for three lines. Those that would have less than `fewest` lines are sampled plainly.
     """
     pixels = sizes_of(cell)
     spp = budget / float(pixels.sum())
@@ -75,6 +76,7 @@ def plans_of(
             break
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
+    lines = torch.where(lines < fewest, 0, lines)
     labels = [-1 if done is not None and done[b] else int(count) for b, count in enumerate(lines)]
     rectangles, label = cell.rectangles(BLOCK, labels), torch.tensor(labels)
     return [

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Estimator, Round, Task
 from torch_mcaa.estimators.fused import Fused
+from torch_mcaa.estimators.narrow import check_held
 from torch_mcaa.estimators.shared_lattice import LatticeRound, ReplicatedRound
 from torch_mcaa.estimators.shared_points import SharedPointsRound
 from torch_mcaa.integrand import width_of
@@ -24,7 +25,8 @@ class Shared(Estimator):
 
     With a `Lattice` the weights are the same for all pixels and the estimate is a convolution. Its standard error comes from the sums over
     the cosets of the lattice's double, pooled over 3 x 3 pixels, and from one point in each strip off the lattice, which sees a tone on
-    the dual vectors. Other patterns report their own standard error for the points of each source pixel.
+    the dual vectors. Other patterns report their own standard error for the points of each source pixel. A filter narrower than a pixel that
+    on average holds fewer than 2 points is refused.
 
     Attributes:
         pattern: where the points of a pixel lie.
@@ -73,6 +75,7 @@ class Shared(Estimator):
         return Fused.unfit(task)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
+        check_held(task, spp // self.replicates, repr(self))
         if not isinstance(self.pattern, Lattice):
             return SharedPointsRound(task, self.pattern, self.pattern.count(spp), number)
         if self.replicates == 1:
