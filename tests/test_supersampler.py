@@ -474,8 +474,22 @@ class TestBadInput:
     def test_a_loss_that_no_edge_reaches(self) -> None:
         radius = torch.tensor(2.0, requires_grad=True)
         picture = mcaa.Supersampler(SIZE)(lambda x, y: (torch.hypot(x - 300, y - 2) < radius).to(x))
-        with pytest.warns(McaaWarning, match="no edge that moves"):
+        with pytest.warns(McaaWarning, match="no jump that moves was met where f was seen to decide; check_discontinuities"):
             picture.sum().backward()
+
+    def test_statistics_of_a_module_in_training(self) -> None:
+        norm, weight = torch.nn.BatchNorm1d(1), torch.tensor(2.0, requires_grad=True)
+        layer = mcaa.Supersampler(SIZE, estimator=mcaa.Shared())
+
+        def f(x: Tensor, y: Tensor) -> Tensor:
+            return weight * norm(x[:, None])[:, 0]
+
+        with pytest.warns(McaaWarning, match=r"BatchNorm's: call its eval\(\)"):
+            layer(f)
+        norm.eval()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            layer(f).sum().backward()
 
     def test_in_place_operations_and_numbers(self) -> None:
         weight = torch.ones((), requires_grad=True)

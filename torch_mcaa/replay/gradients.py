@@ -95,7 +95,8 @@ class Replay:
         count = len(self.inputs.tensors)
         if count and all(total is None for total in totals[:count]):
             warnings.warn(
-                "no gradient reaches what f uses: its values have no slope, and no edge that moves was met on the screen",
+                "no gradient reaches what f uses: its values have no slope, and no jump that moves was met where f was seen to decide; "
+                "check_discontinuities(f, size) finds jumps that no decision explains",
                 McaaWarning,
                 stacklevel=2,
             )

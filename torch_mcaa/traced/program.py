@@ -157,7 +157,8 @@ class _Probe(Watch):
         name = getattr(func, "__name__", "")
         if stranger and in_place(func) and name != "requires_grad_":
             self.problems.append(
-                f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one"
+                f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one (statistics of a "
+                "module in training, such as BatchNorm's: call its eval())"
             )
         if name in ESCAPES:
             self._escaped(name, depends)
