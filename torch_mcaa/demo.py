@@ -14,7 +14,7 @@ from torch_mcaa.rendering import Rendering
 _GAP = 8
 _CHARTED = ("Auto()", "Shared(Lattice())", "Importance(Sobol())")
 _CHART_SIDE = 64
-_COLORS = ((0.0, 0.0, 0.0), (0.2, 0.45, 1.0), (0.2, 1.0, 0.9), (0.9, 0.25, 0.2), (1.0, 0.7, 0.2), (1.0, 1.0, 1.0))
+_COLORS = ((0.0, 0.0, 0.0), (0.2, 0.45, 1.0), (0.2, 1.0, 0.9), (0.9, 0.25, 0.2), (1.0, 0.7, 0.2), (1.0, 1.0, 1.0), (0.7, 0.4, 1.0))
 """Of the models of `Auto`, in their order."""
 
 
