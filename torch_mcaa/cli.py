@@ -261,28 +261,18 @@ def _texture(path: str, transform: str | None, interpolation: str, wrap: str) ->
 
 
 def _estimator(name: str) -> Any:
-    from torch_mcaa import (
-        AdaptiveImportance,
-        Auto,
-        ControlVariate,
-        Crude,
-        Importance,
-        JumpCorrected,
-        OrderedStrata,
-        Shared,
-        Stratified,
-    )
+    import torch_mcaa as mcaa
 
     known = {
-        "auto": Auto,
-        "shared": Shared,
-        "jump-corrected": JumpCorrected,
-        "importance": Importance,
-        "crude": Crude,
-        "stratified": Stratified,
-        "adaptive-importance": AdaptiveImportance,
-        "control-variate": ControlVariate,
-        "ordered-strata": OrderedStrata,
+        "auto": mcaa.Auto,
+        "shared": mcaa.Shared,
+        "jump-corrected": mcaa.JumpCorrected,
+        "importance": mcaa.Importance,
+        "crude": mcaa.Crude,
+        "stratified": mcaa.Stratified,
+        "adaptive-importance": mcaa.AdaptiveImportance,
+        "control-variate": mcaa.ControlVariate,
+        "ordered-strata": mcaa.OrderedStrata,
     }
     if name not in known:
         raise McaaError(f"unknown estimator {name!r}; choose from {', '.join(known)}")
