@@ -887,3 +887,16 @@ def test_pictures_are_equal_if_they_are_one() -> None:
     assert picture == picture and picture != mcaa.render(lambda x, y: x, (4, 4))
     with pytest.raises(mcaa.McaaError, match="written to a path, got None"):
         picture.save(None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("filter", [mcaa.Gaussian(0.5), mcaa.Gaussian(2.0), mcaa.Lanczos(3)], ids=repr)
+@pytest.mark.parametrize("estimator", [mcaa.Shared(), mcaa.Auto()], ids=repr)
+def test_what_a_closed_screen_cuts_off_is_known(filter: SeparableFilter, estimator: mcaa.Auto) -> None:
+    """boundary="zero": a constant comes out as the integral of w over the screen, exactly."""
+    centre = torch.arange(24, dtype=torch.float64) + 0.5
+    share = filter.profile_cdf(24 - centre) - filter.profile_cdf(-centre)
+    arguments = {"filter": filter, "estimator": estimator, "boundary": "zero"}
+    for spp in (16, 64):
+        found = mcaa.render(lambda x, y: torch.full_like(x, 0.7), (24, 24), spp=spp, dtype=torch.float64, **arguments)  # type: ignore[arg-type]
+        assert float((found.image[0] - 0.7 * share * share[:, None]).abs().max()) < 1e-12
+        assert float(found.stderr.max()) < 1e-3

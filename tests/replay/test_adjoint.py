@@ -55,7 +55,8 @@ def test_is_the_transpose_of_the_splat(filter: Filter, boundary: Boundary, spp: 
     strip = strip_of(task, spp)
     samples = Samples(task, strip, reach_of(filter))
     adjoint = Adjoint(filter, strip, task.dtype, task.device)
-    padded = samples.padded(grad / norm(task, strip) if boundary == "renormalize" else grad)
+    divisor = norm(task, strip)
+    padded = samples.padded(grad if divisor is None else grad / divisor)
     total = 0.0
     for strips, planes in samples.blocks():
         col, row, inside = samples.places(strips, planes)

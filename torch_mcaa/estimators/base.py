@@ -10,7 +10,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torch_mcaa.filters import Filter
+from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 from torch_mcaa.tolerance import Tolerance
@@ -41,6 +41,19 @@ class Task:
     def followed(self) -> Followed | None:
         """f, if all its decisions are known."""
         return self.integrand.function if isinstance(self.integrand.function, Followed) else None
+
+    def inside(self, cell: Cell) -> Tensor | None:
+        """(h, w) float64: the integral of w over the screen, of each pixel; None for a filter that does not separate."""
+        filter, screen = self.filter, self.screen
+        if not isinstance(filter, SeparableFilter):
+            return None
+
+        def share(first: int, count: int, size: int) -> Tensor:
+            centre = torch.arange(first, first + count, dtype=torch.float64) + 0.5
+            return filter.profile_cdf(size - centre) - filter.profile_cdf(-centre)
+
+        across, down = share(cell.col, cell.width, screen.width), share(cell.row, cell.height, screen.height)
+        return (down[:, None] * across).to(self.device)
 
     def coded(self, x: Tensor, y: Tensor) -> list[Tensor]:
         """As `integrand`, and where f is `followed` one channel more, of codes that are equal where it decided alike."""

@@ -77,7 +77,8 @@ class LatticeWeights:
         """Weights (terms, B, R, depth, count), signs (3, depth) of the characters' changes over the strips, the response, and the norm.
 
         B is 1 where all blocks have the same weights, else `at.blocks`. A pixel's weights sum to 1 over the samples on and off the
-        screen. Under boundary="renormalize" the norm (h, w) is what they sum to over the samples on it; else it is None. The response
+        screen. Under boundary="renormalize" the norm (h, w) is what they sum to over the samples on it, and under "zero" that over the exact
+        integral of w there, so that a constant loses what it should; else, and where that is not known, it is None. The response
         (3, B or 1, R, w or 1) has the three character sums of f = 1, of the f = 1 on the screen alone if that is what a constant is.
         """
         period, height = self.strip.period, self.task.screen.height
@@ -99,13 +100,17 @@ class LatticeWeights:
         starts = (first + torch.arange(at.blocks) * self.block_strips) * period
         absolute = places + starts[:, None, None]
         weight = weight * ((absolute >= 0) & (absolute < height))[:, None]
-        if self.task.boundary == "zero":
+        inside = self.task.inside(cell) if self.task.boundary == "zero" and self.bounded and not self.absolute else None
+        if self.task.boundary == "zero" and inside is None:
             return weight, signs, everywhere, None
         norm = torch.einsum("tbri,tic->brc", weight.sum(3), self._x_sums(cell, at))
         response = self._response(weight, signs, [self._x_sums(cell, at, b) for b in (False, True)])
         # rows beyond the screen have no weights
         response = torch.where(norm == 0, 0, response / norm)
-        return weight, signs, response, norm.flatten(0, 1)[: cell.height]
+        norm = norm.flatten(0, 1)[: cell.height]
+        if inside is not None:
+            norm = torch.where(inside == 0, 1, norm / inside.to(norm.device))
+        return weight, signs, response, norm
 
     def _response(self, weight: Tensor, signs: Tensor, taps: list[Tensor]) -> Tensor:
         """(3, B, R, width or 1) for what the factors along x sum to, (terms, count, width or 1), as they are and in turns of sign."""

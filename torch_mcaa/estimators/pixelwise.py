@@ -221,7 +221,8 @@ class PixelwiseRound(Round):
         invalid, tail = plane("invalid", torch.int32), plane("pareto_k", torch.float32)
         variance = torch.where(without_moment(tail, value), torch.inf, variance)
         if task.boundary == "renormalize":
-            norm = self._inside(cell)
+            norm = task.inside(cell)
+            assert norm is not None
             value, variance, predicted = value / norm, variance / norm.square(), predicted / norm.square()
         if task.integrand.nonfinite == "propagate":
             value = torch.where(invalid > 0, torch.nan, value)
@@ -234,14 +235,3 @@ class PixelwiseRound(Round):
         if self.counts is not None:
             return self.counts[cell.window]
         return torch.full((cell.height, cell.width), int(self.per_pixel), device=self.task.device)
-
-    def _inside(self, cell: Cell) -> Tensor:
-        """(h, w): the integral of w over the screen, of each pixel."""
-        task = self.task
-        assert isinstance(task.filter, SeparableFilter)
-        cdf = task.filter.profile_cdf
-        cols = torch.arange(cell.col, cell.col + cell.width, dtype=torch.float64) + 0.5
-        rows = torch.arange(cell.row, cell.row + cell.height, dtype=torch.float64) + 0.5
-        along_x = cdf(task.screen.width - cols) - cdf(-cols)
-        along_y = cdf(task.screen.height - rows) - cdf(-rows)
-        return (along_y[:, None] * along_x).to(task.device)

@@ -71,21 +71,24 @@ class Gaussian(SeparableFilter):
         return math.erf(self.half_width / (self.std * math.sqrt(2)))
 
     def profile(self, d: Tensor) -> Tensor:
-        if self.learned and torch.is_grad_enabled():
-            return self._learned_profile(d)
-        density = torch.exp(-0.5 * (d / self.std) ** 2) / (self.std * math.sqrt(2 * math.pi) * self._kept)
-        return torch.where(d.abs() <= self.half_width, density, 0)
-
-    def _learned_profile(self, d: Tensor) -> Tensor:
-        """The same with a gradient with respect to the standard deviation; its truncation moves with it and counts nothing (1e-4 at 5 std)."""
-        std = self.learned[0].to(d).reshape(())
-        kept = self._kept if self._radius is None else torch.erf(self._radius / (std * math.sqrt(2)))
+        std, kept = self._scale(d)
         density = torch.exp(-0.5 * (d / std) ** 2) / (std * math.sqrt(2 * math.pi) * kept)
         return torch.where(d.abs() <= self.half_width, density, 0)
 
     def profile_cdf(self, d: Tensor) -> Tensor:
+        std, kept = self._scale(d)
         inside = d.clamp(-self.half_width, self.half_width)
-        return 0.5 + torch.erf(inside / (self.std * math.sqrt(2))) / (2 * self._kept)
+        return 0.5 + torch.erf(inside / (std * math.sqrt(2))) / (2 * kept)
+
+    def _scale(self, d: Tensor) -> tuple[float | Tensor, float | Tensor]:
+        """The standard deviation and the share that is kept, with a gradient for `learned` ones.
+
+        The truncation of radius None moves with the standard deviation and counts nothing (1e-4 at 5 std).
+        """
+        if not (self.learned and torch.is_grad_enabled()):
+            return self.std, self._kept
+        std = self.learned[0].to(d).reshape(())
+        return std, self._kept if self._radius is None else torch.erf(self._radius / (std * math.sqrt(2)))
 
     def profile_sample(self, u: Tensor) -> tuple[Tensor, Tensor]:
         # In float32 the product below rounds the last 1e-6 of the tails to a few values: at 5 std the fourth

@@ -109,12 +109,17 @@ def at_places(filter: Filter, grad: Tensor, col: Tensor, row: Tensor) -> Tensor:
     return total
 
 
-def norm(task: Task, strip: Strip) -> Tensor:
-    """(H, W): what each pixel's weights sum to over the samples on the screen, as boundary="renormalize" divides by."""
+def norm(task: Task, strip: Strip) -> Tensor | None:
+    """(H, W): what a closed boundary divides the sum over the samples on the screen by, see `LatticeWeights`; None for nothing."""
+    if task.boundary == "extend":
+        return None
     weights, screen, bands = LatticeWeights(task, strip), task.screen, []
     for row in range(0, screen.height, _BAND):
         cell = Cell(row, 0, min(_BAND, screen.height - row), screen.width)
-        bands.append(weights.along_y(cell, weights.geometry(cell))[3])
+        band = weights.along_y(cell, weights.geometry(cell))[3]
+        if band is None:
+            return None
+        bands.append(band)
     return torch.cat(bands).to(task.device, task.dtype)
 
 

@@ -81,12 +81,14 @@ class Replay:
             spp = max(-(-spp // 2), spp - -(-jumps.evaluations // (task.screen.height * task.screen.width)))
         strip = strip_of(task, spp)
         samples = Samples(task, strip, reach_of(filter))
-        grad = self._normed(grad, strip)
+        given, grad = grad, self._normed(grad, strip)
         terms: list[Callable[[Block], Parts]] = []
         if self.inputs.tensors:
             terms.append(OfInputs(self.inputs, samples, Adjoint(filter, strip, task.dtype, task.device), grad))
         if filter.learned:
-            terms.append(OfFilter(filter, samples, strip, grad, value, task.boundary == "renormalize"))
+            of_filter = OfFilter(task, samples, strip, grad, value)
+            add([*[None] * len(self.inputs.tensors), *of_filter.of_share(given, value)])
+            terms.append(of_filter)
         if moved.parameters:
             terms.append(OfPlaces(moved, filter, samples, strip, grad, value))
         for strips, planes in samples.blocks():
@@ -103,7 +105,8 @@ class Replay:
         return totals
 
     def _normed(self, grad: Tensor, strip: Strip) -> Tensor:
-        return grad / norm(self.task, strip) if self.task.boundary == "renormalize" else grad
+        divisor = norm(self.task, strip)
+        return grad if divisor is None else grad / divisor
 
     def _block(self, samples: Samples, strips: slice, planes: slice) -> Block:
         task = self.task

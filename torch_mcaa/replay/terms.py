@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_mcaa.estimators.base import Task
 from torch_mcaa.filters import Filter
+from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import Strip
 from torch_mcaa.replay.adjoint import Adjoint
 from torch_mcaa.replay.dependencies import Dependencies, check_reached
@@ -62,15 +64,28 @@ class OfInputs:
 class OfFilter:
     """With respect to the filter's parameters, of which the weights alone depend on them.
 
-    Weights that are divided by what they sum to on the screen ("renormalize") have a derivative whose sum counts against the value.
+    Weights that are divided by what they sum to on the screen have a derivative whose sum counts against the value; under "zero" they are
+    multiplied by the integral of w there, which has one too.
     """
 
-    def __init__(self, filter: Filter, samples: Samples, strip: Strip, grad: Tensor, value: Tensor, renormalized: bool) -> None:
-        self.parameters, self.samples = filter.learned, samples
+    def __init__(self, task: Task, samples: Samples, strip: Strip, grad: Tensor, value: Tensor) -> None:
+        self.parameters, self.samples = task.filter.learned, samples
         with torch.enable_grad():
-            self.adjoint = Adjoint(filter, strip, grad.dtype, grad.device)
-        self.grad = samples.padded(grad)
-        self.level = samples.padded((grad * value).sum(0, keepdim=True)) if renormalized else None
+            self.adjoint = Adjoint(task.filter, strip, grad.dtype, grad.device)
+            self.share = task.inside(Cell(0, 0, *grad.shape[1:])) if task.boundary == "zero" else None
+        self.grad, self.level = samples.padded(grad), None
+        if task.boundary != "extend":
+            total = (grad * value).sum(0, keepdim=True)
+            self.level = samples.padded(total if self.share is None else total / self.share.detach().to(total))
+
+    def of_share(self, grad: Tensor, value: Tensor) -> Parts:
+        """What the integral of w over the screen contributes, which no block knows of; grad: as given."""
+        if self.share is None:
+            return [None] * len(self.parameters)
+        relative = (grad * value).sum(0) / self.share.detach()
+        with torch.enable_grad():
+            loss = (relative * self.share).sum()
+        return torch.autograd.grad(loss, self.parameters)
 
     def __call__(self, block: Block) -> Parts:
         with torch.enable_grad():
