@@ -33,7 +33,7 @@ REACH = {
     "steps of 0.1 px": 1e-3,
     "steps of 0.25 px": 1e-3,
     "steps of 1 px": 1e-3,
-    "two 0.1 px lines 0.6 px apart": 1e-2,
+    "two 0.1 px lines 0.6 px apart": 3e-5,
     "0.09 px stripes every 0.35 px": 2e-2,
     "0.6 px stripes every 1.5 px": 2e-2,
 }

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.edges.bisect import bisect, joined
-from torch_mcaa.edges.candidates import candidates
+from torch_mcaa.edges.candidates import brackets, candidates
 
 MOST = 16
 """Evaluations of a segment with one jump: 3 for the quarters, then quarters of at most 0.2625 px halved 12 times make 1.1 * 2**-14."""
@@ -200,3 +200,19 @@ def test_joined_and_take() -> None:
     both = joined([one, two])
     assert len(both) == 2 and both.jump[0].tolist() == [1.0, 2.0]
     assert torch.equal(both.take(torch.tensor([1])).place, two.place)
+
+
+def test_a_sample_inside_a_bracket_stays_on_its_side_of_the_jump() -> None:
+    """Brackets between any two places, with a sample of their line within the last one: on the wrong side all of its weight would be lost."""
+    count = 400
+    t = places(count, 5)
+    ask = on_own_lines(t)
+    line = torch.arange(count)
+    # as near as the bracket is wide, on either side
+    sample = 10 + t + FINEST * (places(count, 6) - 0.5)
+    low, high = 10 + t - 2.0**-10 * (0.5 + places(count, 7)), 10 + t + 2.0**-10 * (0.5 + places(count, 8))
+    before, after = torch.zeros(1, count, dtype=torch.float64), torch.ones(1, count, dtype=torch.float64)
+    found = bisect(ask, brackets(0, line.to(torch.float64), low, high, before, after, sample.frac(), line), FINEST, 1)
+    assert len(found) == count
+    assert torch.equal(found.place < sample, t < sample - 10)
+    assert bool(((found.place - 10 - t).abs() <= found.width / 2 + 1e-12).all())

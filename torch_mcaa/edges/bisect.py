@@ -26,6 +26,8 @@ _QUARTERED = 1 / 16
 """Px: wider segments begin with quarters."""
 _SMOOTH = 0.4
 """Px: a segment that changes over more than this is smooth, and left to the samples."""
+_ROUNDING = 1e-9
+"""Px."""
 _MOST = 8
 """A segment with more pieces than this is not a few jumps: it is given up."""
 
@@ -90,6 +92,7 @@ def bisect_all(ask: Ask, parts: Sequence[Segments], finest: float, seed: int) ->
     work = _Bisection(ask, parts, seed)
     work.start()
     work.halve(finest)
+    work.beside_samples()
     return work.found()
 
 
@@ -161,10 +164,21 @@ class _Bisection:
             if count:
                 count = self._halved(count)
 
-    def _halved(self, count: int) -> int:
-        """Halve the first `count` brackets; how many they are then."""
+    def beside_samples(self) -> None:
+        """Part the brackets that hold a sample of their line: on the wrong side of the jump it would err by all of its weight."""
+        root, low, high, *_ = self.live
+        phase = pick(self.phase, root)
+        sample = (high - phase).floor() + phase
+        inside = (sample > low + _ROUNDING) & (sample < high - _ROUNDING)
+        if bool(inside.any()):
+            order = torch.argsort(inside, descending=True, stable=True)
+            self.live = tuple(pick(each, order) for each in self.live)
+            self._halved(int(inside.count_nonzero()), pick(sample, order))
+
+    def _halved(self, count: int, middle: Tensor | None = None) -> int:
+        """Halve the first `count` brackets, or part them at a `middle` of each; how many they are then."""
         root, low, high, before, after = (field[..., :count] for field in self.live)
-        middle = (low + high) / 2
+        middle = (low + high) / 2 if middle is None else middle[:count]
         value = self.at(middle, root)
         least, first, second = pick(self.least, root), (value - before).abs(), (after - value).abs()
         left = (first > least).any(0)

@@ -22,6 +22,8 @@ _SIDES = 5
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
 _FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
+_CHANCE = 2
+"""Candidates that may be foretold wrong beside: near few hairlines close by some are."""
 _BROKEN, _TESTED, _PEAKED, _HELD = 0.25, 10, 0.22, 0.5
 _NEAR, _OFF = 1 / 8, 1 / 4
 """Px: how far from a jump it is looked at whether it is an edge."""
@@ -61,8 +63,9 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     """Judge each part of the screen: at most `most` candidates of it are bisected eight times.
 
     Then f is foretold at one fresh random place in each from the jumps found. Fewer than 5 % of the candidates with a jump: f is
-    continuous. More than 20 % foretold wrong: noise, which always "has a jump" in one half, so that counting jumps cannot tell. More than
-    15 % of those foretold wrong that lie in the next segment, where no jump was seen: detail finer than the samples, which is noise too.
+    continuous. More than 20 % foretold wrong, and of few candidates two more: noise, which always "has a jump" in one half, so that counting
+    jumps cannot tell. More than 15 %, likewise, of those foretold wrong that lie in the next segment, where no jump was seen: detail finer
+    than the samples, which is noise too.
     More than 25 % of the jumps, of 10 or more, that are no edge: detail on every scale, of which bisection finds one jump of many. Where an
     edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction; about a
     thin piece's they may both have the one outside it.
@@ -111,7 +114,9 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             ):
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
-    verdict[(wrong > _MISPREDICTED * jumped) | (unseen > _UNSEEN * beside)] = Verdict.NOISE
+    chance = _CHANCE / sum(torch.bincount(where, minlength=parts) for where in part).clamp_min(1)
+    noise = (wrong > (_MISPREDICTED + chance) * jumped) | (unseen > (_UNSEEN + chance) * beside)
+    verdict[noise] = Verdict.NOISE
     # both outside of a thin piece have always less, or always more
     broken = 2 * torch.minimum(more, less)
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE

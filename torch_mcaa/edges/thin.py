@@ -16,11 +16,13 @@ from torch_mcaa.edges.lines import Ask, Lines
 from torch_mcaa.edges.pieces import SAME, SHORT, Known, Numbered, Pieces, inside, pieces_of, place_of
 
 _STEEPEST = 3.0
-_LINES = 400
 _WITHIN = 2.0**-10
 """Px: how far off its ends may be where the last two lines foretell them."""
 _PROBES, _PROBES_APART = 7, 0.2
 """Places inside a short piece where it is asked if it is one piece, unless it is shorter than the second, in px."""
+_GOLDEN = (5**0.5 - 1) / 2
+_STRIDE = 64
+"""The most lines that a piece is foretold on at once."""
 _LINE = 16
 """Evaluations that it takes to find the ends of a piece on the next line."""
 _THINNEST = 1e-3
@@ -175,56 +177,69 @@ class _Walk:
         moved = torch.zeros_like(alive)
         index = alive.nonzero()[:, 0]
         current, slope1, slope2 = pieces.take(index), slope1[index], slope2[index]
-        for number in range(_LINES):
-            if len(index) == 0:
-                break
-            line = current.line + direction
-            first, second = current.first + slope1, current.second + slope2
+        # as many lines at once as went on as they were foretold
+        stride, begun = torch.ones_like(index), False
+        while len(index):
+            walk = torch.arange(len(index), device=index.device).repeat_interleave(stride)
+            ahead = 1 + torch.arange(len(walk), device=index.device) - (stride.cumsum(0) - stride)[walk]
+            like = current.take(walk)
+            line = like.line + direction * ahead
+            first, second = like.first + ahead * slope1[walk], like.second + ahead * slope2[walk]
             middle, across = (first + second) / 2, self.grid.across(line)
             go = (second - first > 1e-3) & inside(self.wanted, self.origin, self.axis, middle, across)
-            met = self.known.at(line, first, second, current.inside, current.tolerance, 0.05)
-            self.reached.append(self.known.order[met[(met >= 0) & go]])
-            if number == 0:
-                moved[index[met >= 0]] = True
-            go &= met < 0
-            keep = go.nonzero()[:, 0]
-            index, current, first, second, line, across = (
-                index[keep],
-                current.take(keep),
-                first[keep],
-                second[keep],
-                line[keep],
-                across[keep],
+            met = torch.where(go, self.known.at(line, first, second, like.inside, like.tolerance, 0.05), -1)
+            clear = _until(~go | (met >= 0), walk, ahead, stride)
+            asked = (ahead <= clear[walk]).nonzero()[:, 0]
+            walked, one, two = self._next(
+                like.take(asked), across[asked], first[asked], second[asked], walk[asked], ahead[asked], clear
             )
-            if len(index) == 0:
-                break
-            ok, one, two = self._next(current, across, first, second)
-            index, current, line = index[ok], current.take(ok.nonzero()[:, 0]), line[ok]
-            if number == 0:
-                moved[index] = True
             self.found += [one, two]
-            slope1, slope2 = one.place - current.first, two.place - current.second
-            current = Pieces(line, one.place, two.place, one.before, (one.after + two.before) / 2, two.after)
+            arrived = (met >= 0) & (walked == clear)[walk] & (ahead == 1 + clear[walk])
+            self.reached.append(self.known.order[met[arrived]])
+            if not begun:
+                moved[index[walked > 0]] = True
+                moved[index[walk[arrived]]] = True
+                begun = True
+            on = walked > 0
+            on[walk[arrived]] = False
+            # the crossings are those of the lines walked, one after another
+            last = (walked.cumsum(0) - 1)[on]
+            one, two, lines = one.take(last), two.take(last), walked[on]
+            index, before = index[on], current.take(on)
+            slope1, slope2 = (one.place - before.first) / lines, (two.place - before.second) / lines
+            stride = torch.where(lines == stride[on], (2 * lines).clamp_max(_STRIDE), lines)
+            colour = (one.after + two.before) / 2
+            current = Pieces(before.line + direction * lines, one.place, two.place, one.before, colour, two.after)
         return moved
 
-    def _next(self, like: Pieces, across: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Crossings, Crossings]:
-        """As `_meet`, but first within `_WITHIN` of the ends foretold."""
+    def _next(
+        self, like: Pieces, across: Tensor, first: Tensor, second: Tensor, walk: Tensor, ahead: Tensor, most: Tensor
+    ) -> tuple[Tensor, Crossings, Crossings]:
+        """How many lines each walk (W,) goes on for, and the crossings there.
+
+        Of pieces foretold at [first, second] on the lines that are `ahead` (N,) of each `walk` (N,), up to the first that is not within `_WITHIN`
+        of it; on the next line they are looked for as `_meet` does, too.
+        """
         inner = torch.minimum((second - first) / 4, torch.full_like(first, _WITHIN))
-        places = torch.stack([first - _WITHIN, first + inner, second - inner, second + _WITHIN])
+        # the brackets of a straight edge would else err alike on all lines
+        outer = _WITHIN * (0.75 + 0.5 * (self.grid.number(across) * _GOLDEN).frac())
+        places = torch.stack([first - outer, first + inner, second - inner, second + outer])
         values = ask_on(self.ask, self.axis, places.flatten(), across.repeat(4)).unflatten(1, places.shape)
         told = torch.stack([like.before, like.inside, like.inside, like.after], 1)
         close = ((values - told).abs().amax(0) <= like.tolerance).all(0)
-        where = close.nonzero()[:, 0]
+        where = (ahead <= _until(~close, walk, ahead, most)[walk]).nonzero()[:, 0]
         ok, one, two = self._ends(across[where], places[:, where], values[:, :, where])
         found = torch.zeros_like(close)
         found[where[ok]] = True
-        far = (~close).nonzero()[:, 0]
+        far = (~close & (ahead == 1)).nonzero()[:, 0]
         if len(far):
             again, one_far, two_far = self._meet(like.take(far), across[far], first[far], second[far], 0.3)
             found[far[again]] = True
             order = torch.argsort(torch.cat([where[ok], far[again]]))
             one, two = joined([one, one_far]).take(order), joined([two, two_far]).take(order)
-        return found, one, two
+        walked = _until(~found, walk, ahead, most)
+        kept = (ahead <= walked[walk])[found]
+        return walked, one.take(kept), two.take(kept)
 
     def _meet(
         self, like: Pieces, across: Tensor, first: Tensor, second: Tensor, margin: float
@@ -283,3 +298,8 @@ class _Walk:
         new = torch.ones(len(order), dtype=torch.bool, device=order.device)
         new[1:] = ~same
         return everything.take(order[new])
+
+
+def _until(end: Tensor, walk: Tensor, ahead: Tensor, most: Tensor) -> Tensor:
+    """(W,): how many lines of each walk come before its first `end` (N,), at most `most` (W,)."""
+    return most.scatter_reduce(0, walk, torch.where(end, ahead - 1, most[walk]), "amin")
