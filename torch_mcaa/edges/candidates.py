@@ -159,8 +159,11 @@ def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Ten
     size = differences.size
     near = differences.beside(index, torch.arange(-_AROUND, _AROUND + 1, device=size.device))
     window = size[channel[:, None], near.clamp_min(0)].masked_fill(near < 0, torch.nan)
-    # a side that lies beyond the samples says nothing
-    sides = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
+    # a side that lies beyond the samples says nothing, nor does one neighbour: a step may go on in it
+    sides = (
+        side.nanmedian(1).values.masked_fill(side[:, beyond].isnan(), 0)
+        for side, beyond in ((window[:, :_AROUND], _AROUND - 2), (window[:, _AROUND + 1 :], 1))
+    )
     largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
     least = torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(size.dtype).eps * largest)
     return size[channel, index] > least

@@ -77,11 +77,16 @@ def thin_pieces(crossings: Crossings, lines: Lines) -> bool:
 
 
 def unfollowed(crossings: Crossings, lines: Lines) -> tuple[Crossings, Crossings, float]:
-    """The crossings without those of the thin pieces that samples have hit, which are then sampled; those; and what following them would take."""
+    """The crossings without those of the thin pieces that samples have hit, which are then sampled; those; and what following them would take.
+
+    Samples hit a piece of width d with probability d: as many pieces there are, and those that have been found already take nothing.
+    """
     grid = Numbered(lines, crossings.axis)
     pieces, ends = pieces_of(crossings, grid)
-    hit = _held(pieces, grid) & (pieces.width < 1)
-    cost = _LINE * float((1 / pieces.width[hit].clamp_min(_THINNEST) - 1).sum())
+    thin = pieces.width < 1
+    hit = _held(pieces, grid) & thin
+    expected = float((1 / pieces.width[hit].clamp_min(_THINNEST)).sum()) - int(thin.count_nonzero())
+    cost = _LINE * max(0.0, expected)
     return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit].flatten()), cost
 
 

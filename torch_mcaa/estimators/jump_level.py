@@ -146,7 +146,11 @@ class Leveller:
         sx, sy = (float(rng.uniform(self.seed, _SHIFT, number, axis, dtype=torch.float64)) for axis in (0, 1))
         strip = Lattice().strip(count, number, False, (sx, sy), lines=True, sides=sides(window.filter))
         x, y = (torch.from_numpy(places).to(window.device) for places in (strip.x, strip.y))
-        asked = dilated(torch.nn.functional.pad(wanted, (halo,) * 4), max(1, halo - 1))
+        asked = torch.nn.functional.pad(wanted, (halo,) * 4)
+        # those at the cell's border have no pixel of their own beside them that would be asked for more
+        beside = dilated(asked, 1)
+        beside[halo:-halo, halo:-halo] = wanted
+        asked = dilated(beside, max(1, halo - 1))
         row, col = cell.row - halo, cell.col - halo
         asked &= on_screen(self.ask.task, row, col, (asked.shape[0], asked.shape[1]))
         coded = self.ask.task.followed is not None
