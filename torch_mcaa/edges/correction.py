@@ -15,6 +15,8 @@ from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import Filter, SeparableFilter
 
 _AT_ONCE = 1 << 11
+_BRACKET = 2.0**-7
+"""Px: what is wider is no bracket of a jump, but a part of a steep step."""
 
 
 class Window:
@@ -57,7 +59,9 @@ class Window:
             weight /= norm
             size = part.jump.abs().amax(0).to(torch.float64)
             seen[0].index_add_(0, index, (size[:, None, None] * doubt).abs_().view(-1))
-            doubt *= (part.width / (math.sqrt(12) * norm))[:, None, None]
+            # a part of a continuous step changes all over, and has its middle near its own
+            width = torch.where(part.width > _BRACKET, part.width / 3, part.width)
+            doubt *= (width / (math.sqrt(12) * norm))[:, None, None]
             for channel, jump in enumerate(part.jump.to(torch.float64)):
                 total[channel].index_add_(0, index, (jump[:, None, None] * weight).view(-1))
                 spread[channel].index_add_(0, index, (jump[:, None, None] * doubt).square_().view(-1))
