@@ -22,6 +22,7 @@ from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.of_texels import OfTexels
 from torch_mcaa.replay.plan import followed, plan
 from torch_mcaa.texture import Texture
+from torch_mcaa.traced.transforms import transformed
 
 
 class Supersampler(torch.nn.Module):
@@ -123,7 +124,7 @@ class Supersampler(torch.nn.Module):
         return self._forward(f, call)
 
     def _forward(self, f: Function | Tensor, call: int | None) -> Tensor:
-        if _transformed():
+        if transformed() or torch.autograd.forward_ad._current_level >= 0:
             raise McaaError(
                 "the layer has a backward pass of its own and works with torch.autograd: loss.backward() or torch.autograd.grad(); it was called "
                 "inside a transform of functions (torch.func.grad, vjp, jvp, vmap and the like, or forward_ad), which it cannot be part of"
@@ -222,9 +223,3 @@ class Supersampler(torch.nn.Module):
 
     def extra_repr(self) -> str:
         return f"{self.size}, filter={self.filter}, estimator={self.estimator}, spp={self.spp}, boundary={self.boundary!r}, seed={self.seed}"
-
-
-def _transformed() -> bool:
-    """Whether the call is inside a transform of torch.func, or a level of forward-mode differentiation."""
-    inside = torch._C._functorch.peek_interpreter_stack()  # pyright: ignore[reportAttributeAccessIssue]
-    return inside is not None or torch.autograd.forward_ad._current_level >= 0

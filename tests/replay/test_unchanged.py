@@ -121,12 +121,12 @@ def test_a_random_function_is_not_compared() -> None:
     assert weight.grad is not None
 
 
-def test_decisions_inside_vmap_are_left_alone() -> None:
-    weight = torch.tensor(2.0, requires_grad=True)
-    with pytest.warns(mcaa.McaaWarning):
-        picture = LAYER(lambda x, y: weight * torch.vmap(lambda a: torch.where(a > 3, 1.0, 0.0))(x))
-    picture.sum().backward()
-    assert weight.grad is not None
+def test_decisions_inside_vmap_are_compared() -> None:
+    place = torch.tensor(3.0, requires_grad=True)
+    picture = LAYER(lambda x, y: torch.vmap(lambda a: torch.where(a > place, 1.0, 0.0))(x))
+    place.data = place.data + 0.003
+    with pytest.raises(McaaError, match="changed between the forward and the backward pass"):
+        picture.sum().backward()
 
 
 def test_functions_that_set_what_they_read_are_as_they_were() -> None:

@@ -16,7 +16,7 @@ from torch_mcaa.integrand import Function
 from torch_mcaa.replay.adjoint import reach_of
 from torch_mcaa.replay.autocast import Autocast
 from torch_mcaa.replay.bound import bound
-from torch_mcaa.replay.dependencies import dependencies
+from torch_mcaa.replay.dependencies import dependencies, unheard
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.moved import Moved, is_continuous
 from torch_mcaa.replay.unchanged import Noted
@@ -94,7 +94,7 @@ def followed(task: Task, function: Function) -> Function:
 
 
 def _probed(task: Task, function: Function) -> Program:
-    with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
+    with unheard():
         return probe(function, task.screen, task.dtype, task.device)
 
 
