@@ -113,12 +113,19 @@ def test_parameters_of_the_layer_count_too(what: str) -> None:
         picture.sum().backward()
 
 
-def test_a_random_function_is_not_compared() -> None:
+def test_a_function_that_is_random_or_changes_what_it_reads_is_said_and_not_compared() -> None:
     weight = torch.tensor(2.0, requires_grad=True)
-    with pytest.warns(mcaa.McaaWarning):
-        picture = mcaa.Supersampler(SIZE)(lambda x, y: weight * (x + torch.rand_like(x)))
-    picture.sum().backward()
-    assert weight.grad is not None
+
+    def grows(x: Tensor, y: Tensor) -> Tensor:
+        weight.data.add_(0.001)
+        return (x < weight) * weight
+
+    for f in (lambda x, y: weight * (x + torch.rand_like(x)), grows):
+        with pytest.warns(mcaa.McaaWarning, match="is random, or changes something that it reads"):
+            picture = LAYER(f)
+        weight.grad = None
+        picture.sum().backward()
+        assert weight.grad is not None
 
 
 def test_decisions_inside_vmap_are_compared() -> None:

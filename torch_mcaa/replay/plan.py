@@ -86,6 +86,13 @@ def plan(
         high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
         task = replace(task, seed=high << 32 | low)
     noted = Noted.now(task.integrand.function, x, y, (*task.filter.learned, *moved.parameters))
+    if noted.found is None:
+        warnings.warn(
+            "f is random, or changes something that it reads: asked twice for the same points it did not do the same, and the backward pass, "
+            "which asks it again, differentiates something else than the picture",
+            McaaWarning,
+            stacklevel=5,
+        )
     return Replay(task, spp, program if program and program.sites else None, found, moved, noted)
 
 
