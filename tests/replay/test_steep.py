@@ -60,6 +60,11 @@ def test_a_ramp_that_no_sample_meets_is_said_with_its_place(ramp: Ramp, steepnes
     assert math.hypot(float(place[1]) - 16, float(place[2]) - 16) == pytest.approx(10.3, abs=2e-3)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (1, 50), (256, 256)])
+def test_pictures_of_any_size(size: tuple[int, int]) -> None:
+    assert len(said(lambda x, y: torch.tanh(1e6 * (x - 0.05 * RADIUS)), size)) == 1
+
+
 def test_without_the_ramp_the_gradient_is_there_and_nothing_is_said() -> None:
     layer = mcaa.Supersampler(SIZE, estimator=mcaa.Shared())
 
@@ -85,6 +90,7 @@ def test_nothing_is_said_of_what_samples_meet_or_nothing_moves(seed: int) -> Non
         lambda x, y: torch.sin(RADIUS * x) * torch.cos(RADIUS * y),
         lambda x, y: (x - RADIUS).abs().sqrt(),
         lambda x, y: (x - RADIUS).abs().clamp_min(1e-20).log(),
+        lambda x, y: torch.exp(-(((torch.hypot(x - 16, y - 16) - RADIUS) / 0.02) ** 2)),
         lambda x, y: torch.ones_like(x) / 3 + 1e-9 * x * RADIUS,
         lambda x, y: (torch.hypot(x - 16, y - 16) < RADIUS).float() * SHADE,
         mcaa.from_points(network),

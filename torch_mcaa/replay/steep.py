@@ -18,9 +18,9 @@ from torch_mcaa.traced.pieces import Pieces, pieces
 from torch_mcaa.traced.program import Program
 from torch_mcaa.traced.visitors import Signatures
 
-_LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 15, 64, 8
+_FEWEST, _LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 8, 1 << 15, 64, 8
 _HALVINGS = 12
-"""More than half of what f changes by along 1 px is left after so many: of the samples on an edge of 100 px, 16 a pixel, less than one meets it."""
+"""More than half of what f is seen to change by along 1 px is left after so many: of the samples on an edge of 100 px, 16 a pixel, less than one meets it."""
 _SPIKE = 16
 """A derivative that is so many times what it is on either side."""
 
@@ -29,7 +29,7 @@ def steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
     """A sentence about a place where f changes as by a jump, no decision is seen, and one of the tensors moves that; empty if none is found."""
     screen = task.screen
     asked = Asked(task.integrand.function, screen, program.all_moving(), task.dtype, task.device, None)
-    found = pieces(asked, task.seed, max(1, min(_LOOKED, screen.width * screen.height // 2)), _FOLLOWED)
+    found = pieces(asked, task.seed, max(_FEWEST, min(_LOOKED, screen.width * screen.height // 2)), _FOLLOWED)
     for _ in range(_HALVINGS):
         if found is None or not len(found):
             return ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -22,7 +22,7 @@ class Pieces:
     Attributes:
         col, row: (N,) float64 screen pixels where the pieces begin; over, down: (N,) what they span, one of them 0.
         low, high: (N,) the part that is left, in parts of the piece; before, after: (C, N) f there.
-        signature: (N,); change: (N,) that of f along the whole piece, in its largest channel.
+        signature: (N,); change: (N,) the largest that was seen of f, in any channel, along the whole piece or a part.
     """
 
     col: Tensor
@@ -59,18 +59,14 @@ class Pieces:
             half = (kept.low + kept.high) / 2
             there, signature = asked.values(*kept.at(half))
             left = (there - kept.before).abs().amax(0) >= (kept.after - there).abs().amax(0)
-            kept = Pieces(
-                kept.col,
-                kept.row,
-                kept.over,
-                kept.down,
-                torch.where(left, kept.low, half),
-                torch.where(left, half, kept.high),
-                torch.where(left, kept.before, there),
-                torch.where(left, there, kept.after),
-                kept.signature,
-                kept.change,
-            ).take(signature == kept.signature)
+            part = replace(
+                kept,
+                low=torch.where(left, kept.low, half),
+                high=torch.where(left, half, kept.high),
+                before=torch.where(left, kept.before, there),
+                after=torch.where(left, there, kept.after),
+            )
+            kept = replace(part, change=torch.maximum(part.change, part.size)).take(signature == kept.signature)
         return kept
 
 
