@@ -20,7 +20,7 @@ from torch_mcaa.traced.visitors import Signatures
 
 _FEWEST, _LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 8, 1 << 15, 64, 8
 _HALVINGS = 12
-"""More than half of what f is seen to change by along 1 px is left after so many: of the samples on an edge of 100 px, 16 a pixel, less than one meets it."""
+"""More than half of what f is seen to change by along 1 px is left after so many: an edge of 100 px is met by less than one sample of 16 a pixel."""
 _SPIKE = 16
 """A derivative that is so many times what it is on either side."""
 
