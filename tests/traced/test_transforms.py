@@ -132,6 +132,16 @@ def test_pictures_and_gradients_are_those_of_plain_code(
     assert found[1][1].abs() > 1
 
 
+def test_chunks_of_points_are_refused_by_name() -> None:
+    p = torch.tensor(5.3, requires_grad=True)
+
+    def chunked(x: Tensor, y: Tensor) -> Tensor:
+        return torch.vmap(lambda a: (a < p).float(), chunk_size=64)(x.reshape(-1)).reshape(x.shape)
+
+    with pytest.raises(mcaa.McaaError, match="chunk_size"):
+        mcaa.Supersampler((8, 8))(chunked).sum().backward()
+
+
 def test_a_checkpoint_around_a_slope_is_refused_by_name() -> None:
     p = torch.tensor(5.3, requires_grad=True)
     layer, (f, _) = mcaa.Supersampler((8, 8)), _normal(p)
