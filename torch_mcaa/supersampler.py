@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from typing import Any, Literal
 
 import torch
@@ -22,6 +23,7 @@ from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.of_texels import OfTexels
 from torch_mcaa.replay.plan import followed, plan
 from torch_mcaa.texture import Texture
+from torch_mcaa.traced.transforms import transformed
 
 
 class Supersampler(torch.nn.Module):
@@ -69,8 +71,9 @@ class Supersampler(torch.nn.Module):
             extent: (x0, x1, y0, y1); a tensor of the four that requires a gradient gets one.
             redraw: new points at each call.
             decorrelate: points of its own for the backward pass, so that the gradient of a loss that is not linear in the picture is unbiased.
-            discontinuities: "auto" traces f's decisions, and counts what its jumps contribute as they move, too; False is plain automatic
-                differentiation of the picture of `render`.
+            discontinuities: "auto" traces f's decisions, and counts what its jumps contribute as they move, too; it warns of what it cannot
+                trace, and where f is found to change as by a jump and decides nothing. False is plain automatic differentiation of the
+                picture of `render`.
 
         Raises:
             McaaError: an argument that cannot be used.
@@ -89,6 +92,7 @@ class Supersampler(torch.nn.Module):
         self.extent = extent
         self.calls = 0
         self._since_recomputed = 0
+        self._asked: Counter[int] = Counter()
         # holds nothing but the layer's dtype and device
         default = torch.get_default_dtype()
         dtype = default if default == torch.float64 else torch.float32
@@ -123,7 +127,7 @@ class Supersampler(torch.nn.Module):
         return self._forward(f, call)
 
     def _forward(self, f: Function | Tensor, call: int | None) -> Tensor:
-        if _transformed():
+        if transformed() or torch.autograd.forward_ad._current_level >= 0:
             raise McaaError(
                 "the layer has a backward pass of its own and works with torch.autograd: loss.backward() or torch.autograd.grad(); it was called "
                 "inside a transform of functions (torch.func.grad, vjp, jvp, vmap and the like, or forward_ad), which it cannot be part of"
@@ -186,7 +190,15 @@ class Supersampler(torch.nn.Module):
         extent = self.extent
         wanted = extent if isinstance(extent, Tensor) and extent.requires_grad else None
         exact = OfTexels.of(task, wanted) if isinstance(self.estimator, Auto) else None
-        return exact or plan(task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities))
+        return exact or plan(
+            task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities), self._looks(task.integrand.function)
+        )
+
+    def _looks(self, f: Function) -> bool:
+        """Whether steep ramps of f are looked for: at its first, second, fourth, eighth ... call, for they may get steeper as it is trained."""
+        code = hash(getattr(f, "__code__", type(f)))
+        self._asked[code] += 1
+        return self._asked[code].bit_count() == 1
 
     def _extent(self) -> Any:
         return self.extent.tolist() if isinstance(self.extent, Tensor) else self.extent
@@ -222,9 +234,3 @@ class Supersampler(torch.nn.Module):
 
     def extra_repr(self) -> str:
         return f"{self.size}, filter={self.filter}, estimator={self.estimator}, spp={self.spp}, boundary={self.boundary!r}, seed={self.seed}"
-
-
-def _transformed() -> bool:
-    """Whether the call is inside a transform of torch.func, or a level of forward-mode differentiation."""
-    inside = torch._C._functorch.peek_interpreter_stack()  # pyright: ignore[reportAttributeAccessIssue]
-    return inside is not None or torch.autograd.forward_ad._current_level >= 0

@@ -244,8 +244,11 @@ def _as_transform(transform: Tensor | ArrayLike) -> Tensor:
     for dim in (1, 0):
         scaled = scaled / scaled.abs().amax(dim, keepdim=True)
     eps = torch.finfo(given.dtype if given.is_floating_point() else torch.float64).eps
+    # a check inside an f that is traced loses no gradient
+    with torch._C.DisableTorchFunction():
+        determinant = float(torch.linalg.det(scaled).abs())
     # 16 eps: the rounding of such a determinant. NaN, of a zero row or a bad entry, fails every comparison
-    if not float(torch.linalg.det(scaled).abs()) > 16 * eps:
+    if not determinant > 16 * eps:
         raise McaaError(f"transform must be finite and invertible, got {given.tolist()}; pass another matrix")
     return given
 

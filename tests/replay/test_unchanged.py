@@ -113,20 +113,27 @@ def test_parameters_of_the_layer_count_too(what: str) -> None:
         picture.sum().backward()
 
 
-def test_a_random_function_is_not_compared() -> None:
+def test_a_function_that_is_random_or_changes_what_it_reads_is_said_and_not_compared() -> None:
     weight = torch.tensor(2.0, requires_grad=True)
-    with pytest.warns(mcaa.McaaWarning):
-        picture = mcaa.Supersampler(SIZE)(lambda x, y: weight * (x + torch.rand_like(x)))
-    picture.sum().backward()
-    assert weight.grad is not None
+
+    def grows(x: Tensor, y: Tensor) -> Tensor:
+        weight.data.add_(0.001)
+        return (x < weight) * weight
+
+    for f in (lambda x, y: weight * (x + torch.rand_like(x)), grows):
+        with pytest.warns(mcaa.McaaWarning, match="is random, or changes something that it reads"):
+            picture = LAYER(f)
+        weight.grad = None
+        picture.sum().backward()
+        assert weight.grad is not None
 
 
-def test_decisions_inside_vmap_are_left_alone() -> None:
-    weight = torch.tensor(2.0, requires_grad=True)
-    with pytest.warns(mcaa.McaaWarning):
-        picture = LAYER(lambda x, y: weight * torch.vmap(lambda a: torch.where(a > 3, 1.0, 0.0))(x))
-    picture.sum().backward()
-    assert weight.grad is not None
+def test_decisions_inside_vmap_are_compared() -> None:
+    place = torch.tensor(3.0, requires_grad=True)
+    picture = LAYER(lambda x, y: torch.vmap(lambda a: torch.where(a > place, 1.0, 0.0))(x))
+    place.data = place.data + 0.003
+    with pytest.raises(McaaError, match="changed between the forward and the backward pass"):
+        picture.sum().backward()
 
 
 def test_functions_that_set_what_they_read_are_as_they_were() -> None:

@@ -22,22 +22,23 @@ def _numpy(x: Tensor, y: Tensor) -> Tensor:
     return torch.from_numpy(inside.astype(np.float32))
 
 
-def _vmap(x: Tensor, y: Tensor) -> Tensor:
-    return torch.vmap(lambda a, b: torch.where(a * a + b * b < 900, 1.0, 0.0))(x, y)
+def _unseen(x: Tensor, y: Tensor) -> Tensor:
+    with torch._C.DisableTorchFunction():
+        return torch.where(x * x + y * y < 900, 1.0, 0.0)
 
 
 def _faint_on_a_ramp(x: Tensor, y: Tensor) -> Tensor:
     return 0.1 * x + torch.from_numpy((x.numpy() > 20.3) * 0.02)
 
 
-@pytest.mark.parametrize("f", [_numpy, _vmap, _faint_on_a_ramp])
+@pytest.mark.parametrize("f", [_numpy, _unseen, _faint_on_a_ramp])
 def test_a_hidden_jump_is_found_where_it_is(f: Function) -> None:
     report = mcaa.check_discontinuities(f, (64, 64))
     assert not report.ok and len(report.jumps) > 20
     for jump in report.jumps:
         if f is _numpy:
             assert abs(np.hypot(jump.x - 30, jump.y - 30) - 20) < 1e-3 and jump.size == 1
-        elif f is _vmap:
+        elif f is _unseen:
             assert abs(np.hypot(jump.x, jump.y) - 30) < 1e-3
         else:
             assert abs(jump.col - 20.3) < 1e-3 and jump.size == pytest.approx(0.02, rel=1e-3)

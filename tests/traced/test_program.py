@@ -83,7 +83,6 @@ def _sorted_points(x: Tensor, y: Tensor) -> Tensor:
         (_array, "takes values of the points out of PyTorch"),
         (_item, "item takes a parameter's value out of PyTorch, and its gradient is lost"),
         (_branch, "__bool__ lets Python's control flow depend on the points"),
-        (_vmap, "inside vmap"),
         (_masked, "gt mixes points, or takes some of them only"),
         (_parameters, "gt decides on parameters alone"),
         (_state, "add_ changes a tensor in place that f did not make"),
@@ -146,13 +145,20 @@ def _own_state(x: Tensor, y: Tensor) -> Tensor:
     return out
 
 
+def _turned(x: Tensor, y: Tensor) -> Any:
+    """A texture that is made inside f looks at its transform."""
+    return mcaa.Texture(torch.rand(1, 4, 4), "nearest", "repeat", transform=torch.eye(3) * THETA)(x, y)
+
+
 def _network() -> Function:
     return mcaa.from_points(
         torch.nn.Sequential(torch.nn.Linear(2, 13), torch.nn.ReLU(), torch.nn.Linear(13, 17), torch.nn.Linear(17, 1))
     )
 
 
-@pytest.mark.parametrize("f", [disc, _constants, _own_state, _network(), mcaa.Texture(torch.rand(3, 13, 17), "nearest")])
+@pytest.mark.parametrize(
+    "f", [disc, _vmap, _constants, _own_state, _turned, _network(), mcaa.Texture(torch.rand(3, 13, 17), "nearest")]
+)
 def test_nothing_is_said_of_what_is_in_order(f: Function) -> None:
     """13 and 17 are the probe's numbers of points: layers and textures of those sizes are not taken for points."""
     assert problems(f) == ()

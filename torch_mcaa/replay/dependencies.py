@@ -8,9 +8,11 @@ cannot be seen, such as custom ones and scripted code, have used beside.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
+import torch
 from torch import Tensor, enable_grad
 from torch.autograd.graph import Node, get_gradient_edge, saved_tensors_hooks
 from torch.overrides import TorchFunctionMode
@@ -20,6 +22,7 @@ from torch_mcaa.integrand import Function, Integrand
 from torch_mcaa.traced.decisions import called, lacks_derivative
 from torch_mcaa.traced.program import tensors_in
 from torch_mcaa.traced.trace import eagerly
+from torch_mcaa.traced.transforms import held
 
 _SEVERING = {"item", "tolist", "__float__", "__int__", "__bool__", "__index__", "__complex__"}
 
@@ -51,8 +54,7 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
     """
     runs: list[_Noting] = []
     graphs: list[Sequence[Tensor]] = []
-    # hooks that are set outside, such as a checkpoint's, are not to hear of this
-    with enable_grad(), saved_tensors_hooks(Tensor.detach, lambda kept: kept):
+    with enable_grad(), unheard():
         for _ in range(2):
             runs.append(_Noting())
             try:
@@ -77,6 +79,13 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
     smooth = any(value.requires_grad for value in graphs[1])
     own, severed = len(others_leaves) - len(common), frozenset(runs[1].severed)
     return Dependencies(tuple({**outside, **common}.values()), smooth, own, runs[1].steps, severed)
+
+
+def unheard() -> AbstractContextManager[Any]:
+    """Hooks for saved tensors that are set outside, such as a checkpoint's, do not hear of what is inside."""
+    # where there are any, torch.func.grad inside f refuses to work
+    some = torch._C._autograd._top_saved_tensors_default_hooks(True)  # pyright: ignore[reportAttributeAccessIssue]
+    return saved_tensors_hooks(Tensor.detach, lambda kept: kept) if some else nullcontext()
 
 
 def check_reached(values: Sequence[Tensor], known: Dependencies) -> None:
@@ -112,7 +121,7 @@ class _Noting(TorchFunctionMode):
         return noted
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        for argument in tensors_in((args, kwargs or {})):
+        for argument in map(held, tensors_in((args, kwargs or {}))):
             if argument.requires_grad:
                 self.noted[id(argument)] = argument
                 if getattr(func, "__name__", "") in _SEVERING:

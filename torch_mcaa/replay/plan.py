@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -16,9 +17,10 @@ from torch_mcaa.integrand import Function
 from torch_mcaa.replay.adjoint import reach_of
 from torch_mcaa.replay.autocast import Autocast
 from torch_mcaa.replay.bound import bound
-from torch_mcaa.replay.dependencies import dependencies
+from torch_mcaa.replay.dependencies import dependencies, unheard
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.moved import Moved, is_continuous
+from torch_mcaa.replay.steep import steep
 from torch_mcaa.replay.unchanged import Noted
 from torch_mcaa.texture import Texture
 from torch_mcaa.traced.followed import Followed
@@ -28,11 +30,13 @@ _PROBED = 256
 _PROBE, _BACKWARD = 0x9806, 0xBAC4
 
 
-def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorrelate: bool, discontinuities: bool) -> Replay:
+def plan(
+    task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorrelate: bool, discontinuities: bool, look: bool
+) -> Replay:
     """The backward pass of the picture of `task`, whose f runs under `autocast`.
 
     extent: the tensor that the screen's extent is from, if it is to have a gradient. decorrelate: points of its own.
-    discontinuities: jumps count too.
+    discontinuities: jumps count too. look: for ramps that are jumps to all samples.
 
     Warns (`McaaWarning`) where no gradient will reach what f uses, or a module's parameters.
 
@@ -55,6 +59,8 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
     # a texture's values do not jump as its texels change, and its transform, if it is not one of its tensors here, is in `moved`
     if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
         program = _program(task)
+        if look and not program.problems and (place := _steep(task, program, found.tensors)):
+            warnings.warn(place, McaaWarning, stacklevel=5)
     elif not found.tensors and discontinuities and not isinstance(f, Texture) and (hidden := _hidden(task)):
         warnings.warn(
             f"{hidden}; f uses no tensor that requires a gradient where that can be seen, and the picture gets no gradient from what it "
@@ -80,7 +86,14 @@ def plan(task: Task, autocast: Autocast, spp: int, extent: Tensor | None, decorr
         high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
         task = replace(task, seed=high << 32 | low)
     noted = Noted.now(task.integrand.function, x, y, (*task.filter.learned, *moved.parameters))
-    return Replay(task, spp, program, found, moved, noted)
+    if noted.found is None:
+        warnings.warn(
+            "f is random, or changes something that it reads: asked twice for the same points it did not do the same, and the backward pass, "
+            "which asks it again, differentiates something else than the picture",
+            McaaWarning,
+            stacklevel=5,
+        )
+    return Replay(task, spp, program if program and program.sites else None, found, moved, noted)
 
 
 def followed(task: Task, function: Function) -> Function:
@@ -94,7 +107,7 @@ def followed(task: Task, function: Function) -> Function:
 
 
 def _probed(task: Task, function: Function) -> Program:
-    with torch.autograd.graph.saved_tensors_hooks(Tensor.detach, lambda kept: kept):
+    with unheard():
         return probe(function, task.screen, task.dtype, task.device)
 
 
@@ -106,8 +119,8 @@ def _hidden(task: Task) -> str:
         return ""
 
 
-def _program(task: Task) -> Program | None:
-    """f's decisions, if it takes any."""
+def _program(task: Task) -> Program:
+    """f's decisions; of what the trace cannot follow there is a warning."""
     program = _probed(task, task.integrand.function)
     for problem in program.problems:
         warnings.warn(
@@ -115,7 +128,12 @@ def _program(task: Task) -> Program | None:
             McaaWarning,
             stacklevel=6,
         )
-    return program if program.sites else None
+    return program
+
+
+def _steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
+    with unheard(), torch.no_grad():
+        return steep(task, program, tensors)
 
 
 def _asks(tensor: Tensor | None) -> bool:

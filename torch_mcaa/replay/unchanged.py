@@ -16,7 +16,7 @@ from torch import Tensor
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
 from torch_mcaa.traced.decisions import Choice, Decision
-from torch_mcaa.traced.trace import Watch, eagerly, wrapped
+from torch_mcaa.traced.trace import Watch, eagerly
 
 _SAME = 1e-5
 """Of the largest number: sums of another order, as some devices have at each call, differ by less."""
@@ -67,8 +67,7 @@ def _asked(f: Function, x: Tensor, y: Tensor) -> list[Tensor]:
     margins: list[Tensor] = []
 
     def visit(number: int, decision: Decision, func: Any) -> None:
-        if not wrapped(decision.codes):
-            margins.append((decision.values if isinstance(decision, Choice) else decision.margin()).detach().clone())
+        margins.append((decision.values if isinstance(decision, Choice) else decision.margin()).detach().clone())
 
     def watched(x: Tensor, y: Tensor) -> Any:
         with eagerly(), Watch(visit):

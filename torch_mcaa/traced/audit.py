@@ -6,21 +6,18 @@ from collections import Counter
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
-from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters import Box
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.boundary import elements
+from torch_mcaa.traced.pieces import pieces
 from torch_mcaa.traced.program import Program, probe
 
-_AUDIT = 0xA0D17
-_STEPS = 36
-_ROUNDING, _PART = 1e-5, 1e-3
-"""What is no change, in magnitudes of f; and no jump, in changes over the whole piece: of a slope 2^-36 is left, or what float32 rounds to."""
+STEPS, PART = 36, 1e-3
+"""What is no jump, in changes over the whole piece: of a slope 2^-36 is left, or what float32 rounds to."""
 _CELL = 64
 _MOST = 1 << 16
 """Segments looked at."""
@@ -145,41 +142,13 @@ def untraced(
     that were looked at and followed, and whether f is random.
     """
     asked = Asked(function, screen, program.all_moving(), dtype, device, None)
-    index = torch.arange(looked, device=device)
-    across, along, axis = (rng.uniform(seed, _AUDIT, k, index, dtype=torch.float64) for k in range(3))
-    col, row = across * screen.width, along * screen.height
-    flat = (axis < 0.5).to(torch.float64)
-    over, down = flat * min(1, screen.width / 2), (1 - flat) * min(1, screen.height / 2)
-    col, row = torch.minimum(col, screen.width - over), torch.minimum(row, screen.height - down)
-
-    def ask(at: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-        return asked.values(col[number] + at * over[number], row[number] + at * down[number])
-
-    one = torch.ones_like(col)
-    before, first = ask(0 * one, index)
-    again, _ = ask(0 * one[:16], index[:16])
-    if not torch.equal(again, before[:, :16]):
+    some = pieces(asked, seed, looked, followed)
+    if some is None:
         return (), (looked, 0), True
-    after, last = ask(one, index)
-    size = (after - before).abs().amax(0)
-    noticed = size.masked_fill((first != last) | (size <= _ROUNDING * before.abs().amax()), 0)
-    number = torch.argsort(noticed, descending=True)[: min(followed, int(noticed.count_nonzero()))]
-    count = len(number)
-    low, high = 0 * one[number], one[number]
-    before, after, first = before[:, number], after[:, number], first[number]
-    for _ in range(_STEPS):
-        half = (low + high) / 2
-        there, signature = ask(half, number)
-        left = (there - before).abs().amax(0) >= (after - there).abs().amax(0)
-        low, high = torch.where(left, low, half), torch.where(left, half, high)
-        before, after = torch.where(left, before, there), torch.where(left, there, after)
-        some = (signature == first).nonzero()[:, 0]
-        low, high, before, after, first, number = (t[..., some] for t in (low, high, before, after, first, number))
-    size = (after - before).abs().amax(0)
-    left = size > _PART * noticed[number]
-    number, high, size = (t[left] for t in (number, high, size))
-    cols, rows = col[number] + high * over[number], row[number] + high * down[number]
+    left = some.halved(asked, STEPS)
+    left = left.take(left.size > PART * left.change)
+    cols, rows = left.at(left.high)
     x, y = screen.x_of(cols), screen.y_of(rows)
-    order = torch.argsort(size, descending=True)
-    found = (Jump(*(float(t[k]) for t in (cols, rows, x, y, size))) for k in order.tolist())
-    return tuple(found), (looked, count), False
+    order = torch.argsort(left.size, descending=True)
+    found = (Jump(*(float(t[k]) for t in (cols, rows, x, y, left.size))) for k in order.tolist())
+    return tuple(found), (looked, len(some)), False

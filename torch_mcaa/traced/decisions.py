@@ -211,11 +211,11 @@ def _indices(number: int, default: Any) -> Rule:
 
     def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
         values, dim = args[0], _argument(args, kwargs, number, "dim", "axis", default=default)
-        if not _floating(values) or not isinstance(dim, int) or isinstance(dim, bool):
-            return None
         codes = result if isinstance(result, Tensor) else result[1]
-        if codes.is_floating_point():
+        if not _floating(values) or codes.is_floating_point() or isinstance(dim, bool):
             return None
+        if dim is None:
+            values, dim = values.flatten(), 0
         dim %= values.ndim
         return Choice(codes if codes.ndim == values.ndim else codes.unsqueeze(dim), values, dim)
 

@@ -13,7 +13,8 @@ from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, name_of
-from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where, wrapped
+from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where
+from torch_mcaa.traced.transforms import held
 
 _PROBE = 0x960BE
 _COUNTS = 13, 17
@@ -63,7 +64,6 @@ class _Met:
     shape: tuple[int, ...]
     dim: int | None
     depends: int
-    wrapped: bool
 
 
 def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> Program:
@@ -88,13 +88,11 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
     sites = []
     for one, two in zip(first.met, second.met, strict=True):
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
-        axis = axes[0] if len(axes) == 1 and axes[0] != one.dim and not one.wrapped else None
+        axis = axes[0] if len(axes) == 1 and axes[0] != one.dim else None
         sites.append(Site(one.name, one.where, axis, _every_other(one.depends >> _FIRST), _every_other(one.depends >> _FIRST + 1)))
-        if one.wrapped:
-            problems.append(f"{one.where}: {one.name} inside vmap or another function transform")
-        elif axis is None and one.name in _POLES:
+        if axis is None and one.name in _POLES:
             continue
-        elif axis is None and one.depends & _POINT:
+        if axis is None and one.depends & _POINT:
             problems.append(
                 f"{one.where}: {one.name} mixes points, or takes some of them only, so that it has no margin at a point"
             )
@@ -119,6 +117,7 @@ class _Probe(Watch):
         self.hidden: list[str] = []
         self.strangers: dict[tuple[int, int], str] = {}
         self._depends: dict[int, int] = {}
+        self._stores: dict[object, int] = {}
         self._alive: list[Tensor] = []
         self._calls = 0
         self._tensors = 0
@@ -150,7 +149,7 @@ class _Probe(Watch):
         kwargs = kwargs or {}
         self._calls += 1
         given = list(tensors_in((args, kwargs)))
-        stranger = bool(given) and id(given[0]) not in self._depends
+        stranger = bool(given) and _store(given[0]) not in self._stores
         depends = 0
         for tensor in given:
             depends |= self._origin(tensor, name_of(func))
@@ -184,18 +183,28 @@ class _Probe(Watch):
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
-        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, wrapped(codes)))
+        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now))
 
     def _note(self, tensor: Tensor, depends: int) -> None:
         self._depends[id(tensor)] = self._depends.get(id(tensor), 0) | depends
         # an id is one tensor's only while that lives
         self._alive.append(tensor)
+        self._stores[_store(tensor)] = self._depends[id(tensor)]
 
     def _origin(self, tensor: Tensor, user: str) -> int:
         """What a tensor depends on; one that f did not make is a parameter, a constant, or made where nothing is seen."""
         known = self._depends.get(id(tensor))
         if known is not None:
             return known
+        # what a transform shows, and what it returns, is another tensor on the same storage
+        known = self._stores.get(_store(tensor))
+        if known is not None:
+            self._note(tensor, known)
+            return known
+        plain = held(tensor)
+        if plain is not tensor:
+            self._note(tensor, self._origin(plain, user))
+            return self._depends[id(tensor)]
         depends = 0
         if tensor.requires_grad:
             depends = _PARAMETER | 1 << _FIRST + 2 * self._tensors
@@ -210,9 +219,14 @@ class _Probe(Watch):
                 if size == self.points:
                     text = f"{where()}: {user} takes a tensor from code that the trace cannot see (numpy, or a kernel)"
                     self.strangers[self._calls, axis] = text
-        self._alive.append(tensor)
-        self._depends[id(tensor)] = depends
+        self._note(tensor, depends)
         return depends
+
+
+def _store(tensor: Tensor) -> object:
+    """What tells whose memory a tensor is in."""
+    plain = held(tensor)
+    return plain.untyped_storage() if plain.layout == torch.strided else plain
 
 
 def _custom(func: Any) -> bool:

@@ -20,6 +20,7 @@ from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, called, in_place, rule_of
+from torch_mcaa.traced.transforms import beyond, outside, transformed
 
 _HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
 """Our code, and PyTorch's."""
@@ -68,7 +69,9 @@ class Watch(TorchFunctionMode):
         result = called(func, args, kwargs)
         decision = rule(given, kwargs, result)
         if decision is not None:
-            self._visit(self.number, decision, func)
+            decision = outside(decision) if transformed() else decision
+            with beyond():
+                self._visit(self.number, decision, func)
             self.number += 1
         return result
 
@@ -148,15 +151,10 @@ def eagerly() -> AbstractContextManager[Any]:
     return torch.compiler.set_stance("force_eager") if "torch._dynamo" in sys.modules else nullcontext()
 
 
-def wrapped(tensor: Tensor) -> bool:
-    """Whether it lives inside vmap or another transform of functions only."""
-    return torch._C._functorch.is_functorch_wrapped_tensor(tensor)  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def changed_program(what: str) -> McaaError:
     return McaaError(
-        f"f took other decisions than before: {what}; its Python control flow depends on values: write it with torch.where, "
-        "so that every call runs the same operations"
+        f"f took other decisions than before: {what}; its Python control flow depends on values, or on how many points there are (as "
+        "vmap's chunk_size does): write it with torch.where, so that every call runs the same operations"
     )
 
 

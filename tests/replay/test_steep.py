@@ -1,0 +1,125 @@
+"""Ramps that next to no sample meets are said, with their place; what samples meet, and what no parameter moves, is not."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import re
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+import torch_mcaa as mcaa
+
+SIZE = 32, 32
+RADIUS = torch.tensor(10.3, requires_grad=True)
+SHADE = torch.tensor(0.7, requires_grad=True)
+Ramp = Callable[[Tensor], Tensor]
+
+
+def _smoothstep(u: Tensor) -> Tensor:
+    t = (u + 0.5).clamp(0, 1)
+    return t * t * (3 - 2 * t)
+
+
+RAMPS: dict[str, Ramp] = {
+    "clamp": lambda u: torch.clamp(u, 0, 1),
+    "minimum of maximum": lambda u: torch.minimum(torch.relu(u), torch.ones_like(u)),
+    "hardtanh": F.hardtanh,
+    "relus": lambda u: torch.relu(u) - torch.relu(u - 1),
+    "smoothstep": _smoothstep,
+    "sigmoid": torch.sigmoid,
+    "tanh": torch.tanh,
+    "erf": torch.erf,
+    "softmax": lambda u: torch.softmax(torch.stack([u, torch.zeros_like(u)]), 0)[0],
+}
+
+
+def disc(ramp: Ramp, steepness: float) -> Callable[[Tensor, Tensor], Tensor]:
+    return lambda x, y: SHADE * ramp(steepness * (RADIUS - torch.hypot(x - 16, y - 16)))
+
+
+def said(f: Any, size: tuple[int, int] = SIZE, **arguments: Any) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mcaa.Supersampler(size, estimator=mcaa.Shared(), **arguments)(f)
+    return [str(w.message) for w in caught]
+
+
+@pytest.mark.parametrize("steepness", [1e5, 1e6, 1e9, 1e13])
+@pytest.mark.parametrize("ramp", RAMPS.values(), ids=RAMPS)
+def test_a_ramp_that_no_sample_meets_is_said_with_its_place(ramp: Ramp, steepness: float) -> None:
+    (message,) = said(disc(ramp, steepness))
+    place = re.search(r"at column ([\d.]+), row ([\d.]+) .* not seen to decide", message)
+    assert place is not None
+    assert math.hypot(float(place[1]) - 16, float(place[2]) - 16) == pytest.approx(10.3, abs=2e-3)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (1, 50), (256, 256)])
+def test_pictures_of_any_size(size: tuple[int, int]) -> None:
+    assert len(said(lambda x, y: torch.tanh(1e6 * (x - 0.05 * RADIUS)), size)) == 1
+
+
+def test_without_the_ramp_the_gradient_is_there_and_nothing_is_said() -> None:
+    layer = mcaa.Supersampler(SIZE, estimator=mcaa.Shared())
+
+    def decided(x: Tensor, y: Tensor) -> Tensor:
+        return SHADE * (torch.hypot(x - 16, y - 16) < RADIUS)
+
+    assert said(decided) == []
+    (found,) = torch.autograd.grad(layer(decided).sum(), RADIUS)
+    assert float(found) == pytest.approx(0.7 * 2 * math.pi * 10.3, rel=0.02)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_is_said_of_what_samples_meet_or_nothing_moves(seed: int) -> None:
+    torch.manual_seed(seed)
+    network = torch.nn.Sequential(
+        torch.nn.Linear(2, 32), torch.nn.ReLU(), torch.nn.Linear(32, 32), torch.nn.Tanh(), torch.nn.Linear(32, 1)
+    )
+    image = torch.rand(1, 8, 8, requires_grad=True)
+    for f in (
+        *(disc(ramp, 100.0) for ramp in RAMPS.values()),
+        lambda x, y: SHADE * torch.clamp(1e6 * (x - 10.123), 0, 1) + RADIUS * y,
+        lambda x, y: SHADE * torch.sigmoid(1e9 * (torch.hypot(x - 16, y - 16) - 10.3)),
+        lambda x, y: torch.sin(RADIUS * x) * torch.cos(RADIUS * y),
+        lambda x, y: (x - RADIUS).abs().sqrt(),
+        lambda x, y: (x - RADIUS).abs().clamp_min(1e-20).log(),
+        lambda x, y: torch.exp(-(((torch.hypot(x - 16, y - 16) - RADIUS) / 0.02) ** 2)),
+        lambda x, y: torch.ones_like(x) / 3 + 1e-9 * x * RADIUS,
+        lambda x, y: (torch.hypot(x - 16, y - 16) < RADIUS).float() * SHADE,
+        mcaa.from_points(network),
+        mcaa.Texture(image, "bilinear", "repeat", transform=torch.tensor([[0.1, 0.02, 0], [0, 0.1, 0], [0, 0, 1.0]])),
+    ):
+        assert said(f, seed=seed) == []
+
+
+def test_a_ramp_beside_edges_and_one_that_grows_steep_are_said() -> None:
+    def beside(x: Tensor, y: Tensor) -> Tensor:
+        return (torch.hypot(x - 16, y - 16) < RADIUS).float() + 0.1 * torch.sigmoid(1e6 * (x - RADIUS - SHADE))
+
+    (message,) = said(beside)
+    assert "column 11.000" in message
+    steepness = 1.0
+    layer = mcaa.Supersampler(SIZE, estimator=mcaa.Shared())
+    for call in range(1, 9):
+        layer = pickle.loads(pickle.dumps(layer))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            layer(lambda x, y: torch.sigmoid(steepness * (x - RADIUS)))  # noqa: B023
+        assert len(caught) == (call in (4, 8))
+        steepness = 1e6 if call >= 2 else 1.0
+
+
+def test_hidden_code_is_named_as_such_and_plain_differentiation_is_let_be() -> None:
+    def hidden(x: Tensor, y: Tensor) -> Tensor:
+        return torch.from_numpy((x.detach().numpy() > 10.3).astype("float32")) * SHADE
+
+    messages = said(hidden)
+    assert messages and all("the trace cannot see" in m or "out of PyTorch" in m for m in messages)
+    assert said(disc(torch.sigmoid, 1e6), discontinuities=False) == []

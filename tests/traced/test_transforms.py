@@ -1,0 +1,149 @@
+"""f may use vmap, grad and jvp inside: the same picture, gradient and silence as without them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+import torch_mcaa as mcaa
+
+SITES = torch.tensor([[3.0, 4.0], [12.0, 5.0], [7.0, 12.0], [13.0, 13.0]])
+CIRCLES = torch.tensor([[4.0, 4.0], [11.0, 5.0], [8.0, 12.0]])
+Function = Callable[[Tensor, Tensor], Any]
+
+
+def _by_point(function: Callable[[Tensor, Tensor], Any]) -> Function:
+    """A function of single points, mapped over all."""
+    return lambda x, y: torch.vmap(function)(x.reshape(-1), y.reshape(-1)).reshape(x.shape)
+
+
+def _points(p: Tensor) -> tuple[Function, Function]:
+    return (
+        _by_point(lambda a, b: torch.where(torch.hypot(a - 8, b - 8) < p, 1.0, 0.0)),
+        lambda x, y: torch.where(torch.hypot(x - 8, y - 8) < p, 1.0, 0.0),
+    )
+
+
+def _sites(p: Tensor) -> tuple[Function, Function]:
+    def distances(x: Tensor, y: Tensor) -> Tensor:
+        return torch.stack([torch.hypot(x - a * p / 5, y - b) for a, b in SITES])
+
+    return (
+        lambda x, y: torch.vmap(lambda s: torch.hypot(x - s[0] * p / 5, y - s[1]))(SITES).argmin(0),
+        lambda x, y: distances(x, y).argmin(0),
+    )
+
+
+def _nearest(p: Tensor) -> tuple[Function, Function]:
+    def nearest(a: Tensor, b: Tensor) -> Tensor:
+        # no dim: the index among all, of four in two rows
+        return torch.hypot(a - SITES[:, 0] * p / 5, b - SITES[:, 1]).view(2, 2).argmin().float()
+
+    return _by_point(nearest), _sites(p)[1]
+
+
+def _nested(p: Tensor) -> tuple[Function, Function]:
+    def disc(s: Tensor, a: Tensor, b: Tensor) -> Tensor:
+        return (torch.hypot(a - s[0], b - s[1]) < p / 2) * s[0]
+
+    def mapped(x: Tensor, y: Tensor) -> Tensor:
+        return torch.vmap(lambda s: _by_point(lambda a, b: disc(s, a, b))(x, y))(CIRCLES).sum(0)
+
+    return mapped, lambda x, y: torch.stack([disc(s, x, y) for s in CIRCLES]).sum(0)
+
+
+def _box(x: Tensor, y: Tensor, p: Tensor) -> Tensor:
+    """A distance that decides on its way."""
+    across, down = (x - 8).abs() - p, (y - 8).abs() - 0.7 * p
+    return torch.where(across > down, across, down)
+
+
+def _normal(p: Tensor) -> tuple[Function, Function]:
+    """Shaded by the slope of what decides."""
+
+    def slope(x: Tensor, y: Tensor) -> Tensor:
+        across, down = (x - 8).abs() - p, (y - 8).abs() - 0.7 * p
+        return torch.where(across > down, torch.sign(x - 8), 0)
+
+    return (
+        lambda x, y: torch.where(_box(x, y, p) < 0, 0.5 + 0.3 * torch.func.grad(lambda x: _box(x, y, p).sum())(x), 0),
+        lambda x, y: torch.where(_box(x, y, p) < 0, 0.5 + 0.3 * slope(x, y), 0),
+    )
+
+
+def _normals(p: Tensor) -> tuple[Function, Function]:
+    """Point by point, the value with its slope."""
+
+    def shaded(a: Tensor, b: Tensor) -> Tensor:
+        slope, value = torch.func.grad_and_value(_box)(a, b, p)
+        return torch.where(value < 0, 0.5 + 0.3 * slope, 0)
+
+    return _by_point(shaded), _normal(p)[1]
+
+
+def _autograd(p: Tensor) -> tuple[Function, Function]:
+    def shaded(x: Tensor, y: Tensor) -> Tensor:
+        with torch.enable_grad():
+            x = x if x.requires_grad else x.clone().requires_grad_()
+            value = _box(x, y, p)
+            (slope,) = torch.autograd.grad(value.sum(), x, create_graph=True)
+        return torch.where(value < 0, 0.5 + 0.3 * slope, 0)
+
+    return shaded, _normal(p)[1]
+
+
+def _jvp(p: Tensor) -> tuple[Function, Function]:
+    def moved(x: Tensor, y: Tensor) -> Tensor:
+        return torch.func.jvp(lambda x: torch.where(x < p, p * x, y), (x,), (torch.ones_like(x),))[1]
+
+    return moved, lambda x, y: torch.where(x < p, p, 0)
+
+
+def _mapped_parameter(p: Tensor) -> tuple[Function, Function]:
+    """No operation is given the tensor itself that the gradient is for."""
+    return (
+        lambda x, y: torch.vmap(lambda p: (x < p).float())(p.reshape(1))[0],
+        lambda x, y: (x < p).float(),
+    )
+
+
+@pytest.mark.parametrize("case", [_points, _sites, _nearest, _nested, _normal, _normals, _autograd, _jvp, _mapped_parameter])
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared()], ids=["Auto", "Shared"])
+def test_pictures_and_gradients_are_those_of_plain_code(
+    case: Callable[[Tensor], tuple[Function, Function]], estimator: mcaa.Estimator
+) -> None:
+    found = []
+    for k in range(2):
+        p = torch.tensor(5.3, requires_grad=True)
+        layer = mcaa.Supersampler((16, 16), estimator=estimator)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            # PyTorch scripts its own derivatives at the first jvp, and deprecates that
+            warnings.simplefilter("ignore", FutureWarning)
+            picture = layer(case(p)[k])
+            found.append((picture.detach(), *torch.autograd.grad((picture * torch.linspace(0, 1, 16)).sum(), p)))
+    torch.testing.assert_close(found[0], found[1], rtol=1e-4, atol=1e-4)
+    assert found[1][1].abs() > 1
+
+
+def test_chunks_of_points_are_refused_by_name() -> None:
+    p = torch.tensor(5.3, requires_grad=True)
+
+    def chunked(x: Tensor, y: Tensor) -> Tensor:
+        return torch.vmap(lambda a: (a < p).float(), chunk_size=64)(x.reshape(-1)).reshape(x.shape)
+
+    with pytest.raises(mcaa.McaaError, match="chunk_size"):
+        mcaa.Supersampler((8, 8))(chunked).sum().backward()
+
+
+def test_a_checkpoint_around_a_slope_is_refused_by_name() -> None:
+    p = torch.tensor(5.3, requires_grad=True)
+    layer, (f, _) = mcaa.Supersampler((8, 8)), _normal(p)
+    with pytest.raises(mcaa.McaaError, match="saved tensor hooks"):
+        checkpoint(lambda: layer(f), use_reentrant=False)

@@ -1,0 +1,67 @@
+"""Ramps so narrow that next to no sample meets them: to a derivative they are jumps, though f decides nothing there.
+
+A clamp or a sigmoid of a large multiple has all its slope where it changes, and none where samples lie. The gradient is right on average, of a
+sum that is 0 nearly always.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.estimators.base import Task
+from torch_mcaa.traced.asked import Asked
+from torch_mcaa.traced.audit import STEPS
+from torch_mcaa.traced.pieces import Pieces, pieces
+from torch_mcaa.traced.program import Program
+from torch_mcaa.traced.visitors import Signatures
+
+_FEWEST, _LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 8, 1 << 15, 64, 8
+_HALVINGS = 12
+"""More than half of what f is seen to change by along 1 px is left after so many: an edge of 100 px is met by less than one sample of 16 a pixel."""
+_SPIKE = 16
+"""A derivative that is so many times what it is on either side."""
+
+
+def steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
+    """A sentence about a place where f changes as by a jump, no decision is seen, and one of the tensors moves that; empty if none is found."""
+    screen = task.screen
+    asked = Asked(task.integrand.function, screen, program.all_moving(), task.dtype, task.device, None)
+    found = pieces(asked, task.seed, max(_FEWEST, min(_LOOKED, screen.width * screen.height // 2)), _FOLLOWED)
+    for _ in range(_HALVINGS):
+        if found is None or not len(found):
+            return ""
+        found = found.halved(asked, 1)
+        found = found.take(found.size > found.change / 2)
+    assert found is not None
+    last = found.halved(asked, STEPS - _HALVINGS)
+    sheer = last.size > last.change / 2
+    for k, place in enumerate(sheer.tolist()[:_DIFFERENTIATED]):
+        one = last.take(torch.tensor([k], device=task.device))
+        if place or _moves(asked, one, tensors):
+            at = one.at(one.high)
+            col, row, x, y = (float(t) for t in (*at, screen.x_of(at[0]), screen.y_of(at[1])))
+            return (
+                f"f changes by {float(one.change):.3g} within 1/{2**_HALVINGS} px at column {col:.3f}, row {row:.3f} (x = {x:.6g}, "
+                f"y = {y:.6g}), where it is not seen to decide: next to no sample meets that, so that the gradient of what moves it is "
+                "missing, or noise; let f decide, as by g > 0 in the place of a ramp across g = 0"
+            )
+    return ""
+
+
+def _moves(asked: Asked, piece: Pieces, tensors: Sequence[Tensor]) -> bool:
+    """Whether f's derivative by one of the tensors is there where the piece, one, ends in being halved, and not on its two sides."""
+    share = torch.stack([torch.zeros_like(piece.low), piece.high, torch.ones_like(piece.low)])
+    col, row = piece.at(share)
+    with torch.enable_grad():
+        values, _ = asked.run(col.flatten(), row.flatten(), lambda: Signatures(asked.device))
+        channel = int((piece.after - piece.before).abs().argmax(0))
+        if not values.requires_grad:
+            return False
+        slopes = [torch.autograd.grad(value, tensors, retain_graph=True, allow_unused=True) for value in values[channel]]
+    left, inside, right = (
+        torch.cat([g.detach().flatten().abs().double() for g in s if g is not None] or [share[0]]) for s in slopes
+    )
+    return bool((inside > _SPIKE * torch.maximum(left, right)).any())
