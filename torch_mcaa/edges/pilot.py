@@ -12,6 +12,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.edges.picking import numbers
 
 _PILOT = 0x91107
 _FINEST = 2.0**-8
@@ -47,16 +48,18 @@ class Judged:
         tried: int64, how many candidates were looked at.
         crossings: for each axis, the candidates, but for those of thin pieces.
         lines: lines that cross thin pieces, as far as the pieces that samples hit tell: those hits over their probability.
+        sharp: for each axis the jumps that were found, but for those of thin pieces, and the part (N,) that each lies in; on their device.
     """
 
     verdict: Tensor
     tried: Tensor
     crossings: tuple[Tensor, Tensor]
     lines: Tensor
+    sharp: tuple[tuple[Crossings, Tensor], ...] = ()
 
     def cpu(self) -> Judged:
         first, second = self.crossings
-        return Judged(self.verdict.cpu(), self.tried.cpu(), (first.cpu(), second.cpu()), self.lines.cpu())
+        return Judged(self.verdict.cpu(), self.tried.cpu(), (first.cpu(), second.cpu()), self.lines.cpu(), self.sharp)
 
 
 def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most: int, seed: int) -> Judged:
@@ -84,8 +87,10 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
     tested, more, less, shown, held = (torch.zeros_like(tried) for _ in range(5))
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
+    sharp: tuple[tuple[Crossings, Tensor], ...] = ()
     if any(len(look.where) for look in looks):
         bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
+        sharp = tuple(look.sharp_ones(crossings) for look, crossings in zip(looks, bisected, strict=True))
         jumps = [look.jumped(crossings, parts) for look, crossings in zip(looks, bisected, strict=True)]
         asked = [look.asked(crossings, seed) for look, crossings in zip(looks, bisected, strict=True)]
         x, y = zip(*(placed(look.some.axis, *places) for look, places in zip(looks, asked, strict=True)), strict=True)
@@ -114,7 +119,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             ):
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
-    chance = _CHANCE / sum(torch.bincount(where, minlength=parts) for where in part).clamp_min(1)
+    chance = _CHANCE / torch.bincount(torch.cat(part), minlength=parts).clamp_min(1)
     noise = (wrong > (_MISPREDICTED + chance) * jumped) | (unseen > (_UNSEEN + chance) * beside)
     verdict[noise] = Verdict.NOISE
     # both outside of a thin piece have always less, or always more
@@ -122,7 +127,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
     verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _HELD * shown)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
-    return Judged(verdict, tried, (crossed[0], crossed[1]), lines)
+    return Judged(verdict, tried, (crossed[0], crossed[1]), lines, sharp)
 
 
 @dataclass(frozen=True)
@@ -170,6 +175,11 @@ class _Look:
         has[crossings.segment] = True
         whole = ~self.some.single
         return torch.bincount(self.where[whole], minlength=parts), torch.bincount(self.where[whole & has], minlength=parts)
+
+    def sharp_ones(self, crossings: Crossings) -> tuple[Crossings, Tensor]:
+        """The jumps of `sharp` segments, and the part of each."""
+        some = numbers(self._steep(crossings) & ~self.some.single[crossings.segment])
+        return crossings.take(some), self.where[crossings.segment[some]]
 
     def sharp(self, crossings: Crossings) -> Tensor:
         """Which segments, but for those of thin pieces, hold one jump of over half their change."""

@@ -18,12 +18,12 @@ from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
-from torch_mcaa.estimators.directions import directions
+from torch_mcaa.estimators.directions import directions, faced
 from torch_mcaa.estimators.further import sampled_first, sampled_further
 from torch_mcaa.estimators.importance import Importance
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.narrow import LEAST, WORTH, DrawnRound, held
-from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, SAMPLED, Part, Parts, cell_of, located
+from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, PLAIN, SAMPLED, Part, Parts, cell_of, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
@@ -54,6 +54,8 @@ _LEAST = 1e-4
 """What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
 _MARGINS = 0.75
 """What a crossing takes that margins locate, in parts of what bisection takes."""
+_MOSTLY = 0.5
+"""The share of a block's pixels that are sampled if the directions of its edges are asked for."""
 _TEXTURE = 0.01
 """The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
 
@@ -237,7 +239,13 @@ class AutoRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            part = sampled_further(self.parts, part, cell, seen.spread, seen.edges, left, None if most is None else self.spp)
+            edges = seen.edges
+            if edges is not None and judged.sharp:
+                faces = self.parts.ask(cell, left)
+                plainly = tile_means((part.model == PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() > _MOSTLY
+                edges = faced(faces, judged, plainly, edges, self.parts.seed)
+                part, left = replace(part, points=part.points + faces.points), faces.left
+            part = sampled_further(self.parts, part, cell, seen.spread, edges, left, None if most is None else self.spp)
         else:
             part = sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
         crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)

@@ -110,6 +110,9 @@ class Counted:
     def __call__(self, col: Tensor, row: Tensor, *, coded: bool = False) -> Tensor:
         """Raises Spent rather than ask more than the budget."""
         task = self.task
+        if len(col) == 0:
+            # f may not know what to do with no points
+            return torch.zeros(task.integrand.channels + coded, 0, dtype=task.dtype, device=col.device)
         self._note(col, row)
         block, x, y = BLOCK * width_of(col.device), col, row
         if task.boundary != "extend":
