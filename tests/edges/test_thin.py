@@ -239,8 +239,8 @@ def test_unfollowed_drops_the_pieces_that_samples_hit_and_no_others() -> None:
     expected = torch.cat([first[~hit], first[~hit] + 0.1, first + 1.8])
     assert torch.equal(torch.sort(left.place).values, torch.sort(expected).values)
     assert len(left) + len(met) == len(some) and len(met) == 2 * int(hit.sum())
-    assert cost == pytest.approx(16 * max(0, int(hit.sum()) / 0.1 - len(lines)), rel=1e-9)
-    assert unfollowed(met, samples)[2] == pytest.approx(16 * (1 / 0.1 - 1) * int(hit.sum()), rel=1e-9)
+    assert cost == pytest.approx(16 * (1 / 0.1 - 1) * int(hit.sum()), rel=1e-9)
+    assert unfollowed(some, samples, True)[2] == pytest.approx(16 * max(0, int(hit.sum()) / 0.1 - len(lines)), rel=1e-9)
 
 
 def test_unfollowed_keeps_what_is_wider_than_the_samples_distance() -> None:

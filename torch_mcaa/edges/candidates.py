@@ -14,6 +14,8 @@ from torch_mcaa.edges.picking import numbers
 _TIMES = 3.0
 _AROUND = 4
 """Differences on either side that a difference is compared with the lower median of: of the steeper side where f changes its slope."""
+_FLAT = 30.0
+"""A side is flat whose median difference is under this part of a difference."""
 _FAINT = 1e-12
 """A difference that is none, in ranges of the samples: the tail of a step that vanishes exponentially."""
 _MANY = 0.02
@@ -159,13 +161,16 @@ def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Ten
     size = differences.size
     near = differences.beside(index, torch.arange(-_AROUND, _AROUND + 1, device=size.device))
     window = size[channel[:, None], near.clamp_min(0)].masked_fill(near < 0, torch.nan)
-    # a side that lies beyond the samples says nothing, nor does one neighbour: a step may go on in it
-    sides = (
-        side.nanmedian(1).values.masked_fill(side[:, beyond].isnan(), 0)
-        for side, beyond in ((window[:, :_AROUND], _AROUND - 2), (window[:, _AROUND + 1 :], 1))
+    # a side that lies beyond the samples says nothing
+    left, right = (side.nanmedian(1).values.nan_to_num(0.0) for side in (window[:, :_AROUND], window[:, _AROUND + 1 :]))
+    # nor does one neighbour where the other side is flat: a step may go on in it
+    flat = size[channel, index] / _FLAT
+    left, right = (
+        torch.where(window[:, beyond].isnan() & (other < flat), 0, side)
+        for side, other, beyond in ((left, right, _AROUND - 2), (right, left, _AROUND + 2))
     )
     largest = torch.maximum(*(end.abs() for end in differences.ends(index)))[channel, torch.arange(len(index), device=size.device)]
-    least = torch.maximum(_TIMES * torch.maximum(*sides), 64 * torch.finfo(size.dtype).eps * largest)
+    least = torch.maximum(_TIMES * torch.maximum(left, right), 64 * torch.finfo(size.dtype).eps * largest)
     return size[channel, index] > least
 
 

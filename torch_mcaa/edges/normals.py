@@ -22,12 +22,11 @@ def slopes(ask: Ask, jumps: Crossings, seed: int) -> tuple[Tensor, Tensor]:
     Edges flatter than a third to their line are not: the lines of the other axis see them.
     """
     number = torch.arange(len(jumps), device=jumps.place.device)
-    ends = jumps.place + jumps.width / 2 * torch.tensor([[-1.0], [1.0]], dtype=torch.float64, device=number.device)
-    here = bisect(ask, brackets(jumps.axis, jumps.across, *ends, jumps.before, jumps.after, jumps.phase, number), _FINEST, seed)
-    ends = jumps.place + REACH * _BESIDE * torch.tensor([[-1.0], [1.0]], dtype=torch.float64, device=number.device)
-    across = jumps.across + _BESIDE
-    before, after = ask_on(ask, jumps.axis, ends.flatten(), across.repeat(2)).unflatten(1, (2, -1)).unbind(1)
-    beside = bisect(ask, brackets(jumps.axis, across, *ends, before, after, jumps.phase, number, kind=1), _FINEST, seed)
+    low, high = jumps.place - jumps.width / 2, jumps.place + jumps.width / 2
+    here = bisect(ask, brackets(jumps.axis, jumps.across, low, high, jumps.before, jumps.after, jumps.phase, number), _FINEST, seed)
+    low, high, across = jumps.place - REACH * _BESIDE, jumps.place + REACH * _BESIDE, jumps.across + _BESIDE
+    before, after = ask_on(ask, jumps.axis, torch.cat([low, high]), across.repeat(2)).unflatten(1, (2, -1)).unbind(1)
+    beside = bisect(ask, brackets(jumps.axis, across, low, high, before, after, jumps.phase, number, kind=1), _FINEST, seed)
     first, second = (_alone(found, jumps) for found in (here, beside))
     both = (first >= 0) & (second >= 0)
     return both.nonzero()[:, 0], (beside.place[second[both]] - here.place[first[both]]) / _BESIDE

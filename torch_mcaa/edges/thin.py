@@ -76,17 +76,17 @@ def thin_pieces(crossings: Crossings, lines: Lines) -> bool:
     return bool((pieces_of(crossings, Numbered(lines, crossings.axis))[0].width < SHORT).any())
 
 
-def unfollowed(crossings: Crossings, lines: Lines) -> tuple[Crossings, Crossings, float]:
+def unfollowed(crossings: Crossings, lines: Lines, foretold: bool = False) -> tuple[Crossings, Crossings, float]:
     """The crossings without those of the thin pieces that samples have hit, which are then sampled; those; and what following them would take.
 
-    Samples hit a piece of width d with probability d: as many pieces there are, and those that have been found already take nothing.
+    Samples hit a piece of width d with probability d. Of those that are `foretold` most have been found already, and take nothing.
     """
     grid = Numbered(lines, crossings.axis)
     pieces, ends = pieces_of(crossings, grid)
     thin = pieces.width < 1
     hit = _held(pieces, grid) & thin
-    expected = float((1 / pieces.width[hit].clamp_min(_THINNEST)).sum()) - int(thin.count_nonzero())
-    cost = _LINE * max(0.0, expected)
+    known = int((thin if foretold else hit).count_nonzero())
+    cost = _LINE * max(0.0, float((1 / pieces.width[hit].clamp_min(_THINNEST)).sum()) - known)
     return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit].flatten()), cost
 
 

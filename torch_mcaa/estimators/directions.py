@@ -52,7 +52,8 @@ def directions(values: Tensor, row: int, col: int, cell: Cell) -> Tensor:
 def faced(ask: Counted, judged: Judged, wanted: Tensor, edges: Tensor, seed: int) -> Tensor:
     """`directions` (blocks, DIRECTIONS) with those of the jumps found in the blocks that are `wanted`, if there are some, each block's sum kept.
 
-    Samples tell the directions of edges closer than they are themselves wrong.
+    Samples tell the directions of edges that are closer than they are wrong. Where all neighbours differ alike none is a candidate, and they
+    are all there is.
     """
     faces, blocks = torch.zeros_like(edges), len(edges)
     met = torch.zeros(blocks, dtype=torch.float64)

@@ -193,7 +193,9 @@ class Leveller:
         most, before = _FIRST if known is None else 1.0, self.ask.left
         bisected = self._bisected(taken, lines, known, seed)
         walk = _WALK * (before - self.ask.left)
-        every = [self._completed(c, lines, here, seed, most, walk) for c, here in zip(bisected, used, strict=True)]
+        every = [
+            self._completed(c, lines, here, seed, most, walk, known is not None) for c, here in zip(bisected, used, strict=True)
+        ]
         if self.ask.task.followed is None:
             every = [self._continued(c, lines, here, seed, most) for c, here in zip(every, used, strict=True)]
         if pixels is None or plain is None:
@@ -223,11 +225,13 @@ class Leveller:
             share = torch.where(alike, (_PREFERRED * densities[0] >= densities[1]).to(share), share)
         return Level(pixels, value, plain, spread, near, core, every, lines, Axes(pixels, share, torch.zeros_like(near)))
 
-    def _completed(self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float, walk: float) -> Crossings:
+    def _completed(
+        self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float, walk: float, foretold: bool
+    ) -> Crossings:
         """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left, or goes astray."""
         if not thin_pieces(crossings, lines):
             return crossings
-        without, hit, cost = unfollowed(crossings, lines)
+        without, hit, cost = unfollowed(crossings, lines, foretold)
         if cost <= share * self.ask.left:
             reach, before = self.window.reach + 1, self.ask.left
             origin = self.cell.row - reach, self.cell.col - reach
