@@ -27,7 +27,7 @@ from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, SAMPLED, 
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
-from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound
+from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound, axes_of
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.tolerance import Tolerance
@@ -99,14 +99,14 @@ class Auto(Estimator):
         Shared().check(task)
 
     def bias(self, task: Task) -> tuple[str, ...]:
-        if Texels.of(task) is not None:
+        if task.once(axes_of) is not None:
             return ()
         if not _can_locate(task):
             return Shared().bias(task)
         return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task))
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
-        if Texels.of(task) is not None:
+        if task.once(axes_of) is not None:
             return SIDE, SIDE
         if _drawn(task, spp):
             return Importance().cell(task, spp, adaptive)
@@ -124,17 +124,16 @@ class Auto(Estimator):
         return AutoRound(task, spp, number)
 
     def round_within(self, task: Task, spp: int, number: int, most: int, wanted: Tolerance, jumps: bool | None) -> Round:
-        if not _can_locate(task) or Texels.of(task) is not None or _drawn(task, spp):
+        if not _can_locate(task) or task.once(axes_of) is not None or _drawn(task, spp):
             return self.round(task, spp, number)
         return AutoRound(task, spp, number, most=most, wanted=wanted, jumps=jumps if spp >= _FEWEST else False)
 
 
 def _can_locate(task: Task) -> bool:
     """Whether the mean of the lines is good once jumps are located: where w ends in a step, lines must lie alike about its sides."""
-    filter = task.filter
-    if math.isinf(max(filter.radius)):
+    if math.isinf(max(task.filter.radius)):
         return False
-    return not ends_in_step(filter) or sides(filter) is not None
+    return not task.once(ends_in_step) or task.once(sides) is not None
 
 
 def _drawn(task: Task, spp: int) -> bool:
@@ -144,7 +143,7 @@ def _drawn(task: Task, spp: int) -> bool:
     """
     if task.boundary == "renormalize" and not isinstance(task.filter, SeparableFilter):
         return False
-    inside = held(task.filter, spp)
+    inside = held(task, spp)
     return inside < (LEAST if spp < _FEWEST else WORTH) if _can_locate(task) else inside < math.inf
 
 

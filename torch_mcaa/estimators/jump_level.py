@@ -144,7 +144,7 @@ class Leveller:
         """A shift of a lattice of `count`, asked as far as the pixels `wanted` (h, w) need it; the axes of `known` are taken over."""
         window, halo, cell = self.window, self.window.halo, self.cell
         sx, sy = (float(rng.uniform(self.seed, _SHIFT, number, axis, dtype=torch.float64)) for axis in (0, 1))
-        strip = Lattice().strip(count, number, False, (sx, sy), lines=True, sides=sides(window.filter))
+        strip = Lattice().strip(count, number, False, (sx, sy), lines=True, sides=self.ask.task.once(sides))
         x, y = (torch.from_numpy(places).to(window.device) for places in (strip.x, strip.y))
         asked = torch.nn.functional.pad(wanted, (halo,) * 4)
         # those at the cell's border have no pixel of their own beside them that would be asked for more

@@ -131,7 +131,7 @@ class Parts:
 
     def __init__(self, task: Task, number: int, audited: bool) -> None:
         self.task, self.number, self.audited = task, number, audited
-        self.fewest = max(1, math.ceil(SOME / held(task.filter, 1)))
+        self.fewest = max(1, math.ceil(SOME / held(task, 1)))
         self.seed = int(rng.bits(task.seed, _STREAM, number))
         self.random = False
         self._lattices: dict[tuple[float, bool, tuple[int, int, int] | None], LatticeRound] = {}
