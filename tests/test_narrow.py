@@ -56,7 +56,7 @@ def test_auto_draws_from_narrow_filters(filter: Filter, boundary: str) -> None:
     found, drawn = (rms(filter, e, boundary=boundary) for e in (mcaa.Auto(), mcaa.Importance()))
     assert found <= 1.01 * drawn < 0.06
     picture = mcaa.render(DISC, SIZE, filter=filter, boundary=boundary)  # type: ignore[arg-type]
-    assert picture.models[DRAWN] == MODELS[DRAWN] and bool((picture.model == DRAWN).all())
+    assert picture.models[DRAWN] == MODELS[DRAWN] and bool((picture.model == DRAWN).all()) and picture.bias == ()
     error = picture.image[0] - mcaa.render(DISC, SIZE, filter=filter, spp=1024).image[0]
     assert float((error.abs() <= 2 * picture.stderr[0]).double().mean()) >= 0.95
 
@@ -66,7 +66,18 @@ def test_a_filter_with_enough_points_stays_on_a_lattice() -> None:
     for std in (0.16, 0.2):
         filter = mcaa.Gaussian(std)
         assert rms(filter, mcaa.Auto()) < 0.6 * rms(filter, mcaa.Importance())
-        assert not bool((mcaa.render(DISC, SIZE, filter=filter).model == DRAWN).any())
+        picture = mcaa.render(DISC, SIZE, filter=filter)
+        assert not bool((picture.model == DRAWN).any()) and any("ratio" in reason for reason in picture.bias)
+
+
+def test_bias_is_that_of_the_rounds_that_were_made() -> None:
+    """At 6 evaluations a pixel, the first round of a tolerance, points are drawn from this Gaussian; later and larger ones are lattices."""
+    filter = mcaa.Gaussian(0.15)
+    easy, hard = (mcaa.render(DISC, SIZE, filter=filter, spp=64, tolerance=tolerance) for tolerance in (1.0, 1e-4))
+    assert easy.bias == () and bool((easy.model == DRAWN).all())
+    assert any("decide" in reason for reason in hard.bias) and bool((hard.model != DRAWN).any())
+    # fewer than 5 are a plain lattice
+    assert not any("decide" in reason for reason in mcaa.render(DISC, SIZE, spp=4).bias)
 
 
 @pytest.mark.parametrize("kind", ["gaussian", "box", "tent"])

@@ -134,7 +134,7 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
             McaaWarning,
             stacklevel=3,
         )
-    bias = list(work.estimator.bias(task))
+    bias = list(work.bias)
     if work.number > 1 and (work.tolerance is not None or task.deadline is not None):
         bias.append("rounds ended where the samples themselves said so")
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):

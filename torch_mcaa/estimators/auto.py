@@ -98,12 +98,14 @@ class Auto(Estimator):
     def check(self, task: Task) -> None:
         Shared().check(task)
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         if task.once(axes_of) is not None:
             return ()
-        if not _can_locate(task):
-            return Shared().bias(task)
-        return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task))
+        if _drawn(task, spp):
+            return Importance().bias(task, spp)
+        if spp < _FEWEST or not _can_locate(task):
+            return Shared().bias(task, spp)
+        return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task, spp))
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
         if task.once(axes_of) is not None:

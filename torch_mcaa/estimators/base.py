@@ -178,8 +178,8 @@ class Estimator(ABC):
         """Whether f has so much detail in the pixels that `model` (h, w) is of that one lattice alone does not tell how far it is off."""
         return False
 
-    def bias(self, task: Task) -> tuple[str, ...]:
-        """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
+        """Why the mean of a round of `spp` evaluations a pixel may differ from (1), a line a reason; empty if it does not."""
         return ()
 
     @abstractmethod

@@ -60,7 +60,7 @@ class JumpCorrected(Estimator):
         if math.isinf(max(task.filter.radius)):
             raise McaaError(f"JumpCorrected needs a filter of finite width, got {task.filter}; use Shared()")
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
