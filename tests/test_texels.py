@@ -27,8 +27,9 @@ from torch_mcaa.estimators.parts import EXACT
 from torch_mcaa.estimators.texel_weights import Axis
 from torch_mcaa.estimators.texels import Texels
 from torch_mcaa.filters import Filter, SeparableFilter
+from torch_mcaa.filters.gauss import legendre
 from torch_mcaa.filters.moments import moment
-from torch_mcaa.filters.quadrature import FEW, legendre, panels
+from torch_mcaa.filters.quadrature import FEW, panels
 from torch_mcaa.grid import Screen
 from torch_mcaa.texture import Interpolation, Wrap
 
