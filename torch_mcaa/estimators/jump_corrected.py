@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.auto import AutoRound
 from torch_mcaa.estimators.base import Estimator, Round, Task
 from torch_mcaa.estimators.narrow import check_held
 from torch_mcaa.estimators.parts import MODELS, cell_of, lines_for, located
+from torch_mcaa.estimators.piloted import PilotedRound
 from torch_mcaa.patterns import Lattice
 
 _FEWEST = 6
@@ -68,4 +68,4 @@ class JumpCorrected(Estimator):
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         check_held(task, lines_for(spp), repr(self))
-        return AutoRound(task, spp, number, plain=False)
+        return PilotedRound(task, spp, number, plain=False)
