@@ -25,8 +25,6 @@ from torch_mcaa.estimators.blocks import BLOCK, by_pixel, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.regular import regular
 from torch_mcaa.estimators.sides import sides
-from torch_mcaa.filters import Filter
-from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
@@ -88,7 +86,7 @@ class Level:
 
 
 class Leveller:
-    """Shifts of lattices over one cell.
+    """Shifts of lattices over the cell that f is asked in.
 
     Attributes:
         plain: (C, h, w) the weighted means of a lattice that was sampled everywhere.
@@ -96,9 +94,9 @@ class Leveller:
         lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling.
     """
 
-    def __init__(self, ask: Counted, cell: Cell, filter: Filter, seed: int, plain: Tensor) -> None:
-        self.ask, self.cell, self.seed, self.plain = ask, cell, seed, plain
-        self.window = Window(filter, plain.device)
+    def __init__(self, ask: Counted, seed: int, plain: Tensor) -> None:
+        self.ask, self.cell, self.seed, self.plain = ask, ask.cell, seed, plain
+        self.window = Window(ask.task.filter, plain.device)
         self.finest, self.lost = 0.0, torch.zeros_like(plain[0], dtype=torch.bool)
         self.smooth = self.deciding = self.plain.new_zeros(0)
         # what following thin pieces took along either axis on the last shift: chance decides how many of them samples hit

@@ -108,7 +108,7 @@ class Part:
         floor = unseen(self.value, self.density)
         variance = settled(self.variance, self.value, floor)
         heavy = None
-        if self.heavy is not None:
+        if self.heavy is not None and bool(self.heavy.any()):
             variance.masked_fill_(self.heavy, torch.inf)
             heavy = self.heavy.any(0)
         return Estimate(
@@ -212,9 +212,7 @@ class Parts:
         inside, any_of_them = torch.as_tensor(part.density) > 0, part.value[:, *plain[0][0].within(cell)][:, :1, :1]
         value = torch.where(inside, part.value, any_of_them)
         enough = None if wanted is None else wanted.allowed(value.to(torch.float64)) / FEW_SHIFTS[0]
-        corrector = Corrector(
-            ask, cell, task.filter, self.seed, Lines(x, y, 0), value, allowed & (not self.random), steps, jumping, enough, more
-        )
+        corrector = Corrector(ask, self.seed, Lines(x, y, 0), value, allowed & (not self.random), steps, jumping, enough, more)
         result = corrector.run(finder)
         if result is not None:
             rows, cols, kept = result.rows, result.cols, slice(None)
@@ -293,7 +291,10 @@ class Parts:
         return allowed
 
     def joined(self, cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
-        """Parts of a cell as one, with the evaluations of the pilot; what is in none of them has no samples, and a variance of +inf."""
+        """Parts of a cell as one, all planes its own, with the evaluations of the pilot.
+
+        What is in none of them has no samples, and a variance of +inf.
+        """
         shape = self.task.integrand.channels, cell.height, cell.width
         plane = torch.zeros(shape, dtype=self.task.dtype, device=self.task.device)
         value, variance, heavy = plane, torch.full_like(plane, torch.inf), torch.zeros_like(plane, dtype=torch.bool)
@@ -309,4 +310,4 @@ class Parts:
                 heavy[:, *at] = part.heavy
             if part.blind is not None:
                 blind[:, *at] = part.blind
-        return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density, blind)
+        return Part(value, variance, points, invalid, heavy, model, density, blind)

@@ -137,9 +137,9 @@ class PilotedRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            part = sampled_further(self.parts, part, cell, seen.spread, seen.edges, left, None if most is None else self.spp)
+            sampled_further(self.parts, part, cell, seen.spread, seen.edges, left, None if most is None else self.spp)
         else:
-            part = sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
+            sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
         crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()
