@@ -120,6 +120,12 @@ class Estimate:
     model: Tensor | None = None
     blind: Tensor | None = None
 
+    @property
+    def without_moment(self) -> Tensor:
+        """(h, w) bool: the pixels whose variance is +inf since the diagnostics found that f has no second moment there."""
+        assert self.diagnostics is not None
+        return ((self.diagnostics.pareto_k > 0.5) & self.variance.isinf()).any(0)
+
 
 class Round(ABC):
     """One round of an estimator: a pure function of (task, spp, number) and the cell."""

@@ -63,7 +63,6 @@ class DrawnRound(Round):
 
     def estimate(self, cell: Cell) -> Estimate:
         found = self.drawn.estimate(cell)
-        assert found.diagnostics is not None
-        lost = ((found.diagnostics.pareto_k > 0.5) & found.variance.isinf()).any(0)
+        lost = found.without_moment
         model = torch.full_like(found.points, self.model, dtype=torch.uint8)
         return replace(found, diagnostics=None, heavy=lost if bool(lost.any()) else None, model=model)
