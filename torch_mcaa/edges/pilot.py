@@ -114,7 +114,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             ):
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
-    chance = _CHANCE / sum(torch.bincount(where, minlength=parts) for where in part).clamp_min(1)
+    chance = _CHANCE / torch.stack([torch.bincount(where, minlength=parts) for where in part]).sum(0).clamp_min(1)
     noise = (wrong > (_MISPREDICTED + chance) * jumped) | (unseen > (_UNSEEN + chance) * beside)
     verdict[noise] = Verdict.NOISE
     # both outside of a thin piece have always less, or always more
