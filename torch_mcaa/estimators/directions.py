@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.blocks import BLOCK
+from torch_mcaa.estimators.blocks import BLOCK, shape_of
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.turned import DIRECTIONS
 
@@ -36,10 +36,10 @@ def directions(values: Tensor, row: int, col: int, cell: Cell) -> Tensor:
     # quotients are rounded alike everywhere, angles are not
     bounds = torch.tan(((torch.arange(DIRECTIONS) + 0.5) / DIRECTIONS - 0.5) * math.pi).to(across)
     direction = torch.bucketize((down / across).nan_to_num(0.0), bounds) % DIRECTIONS
-    wide = -(-cell.width // BLOCK)
+    tall, wide = shape_of(cell)
     i, j = (torch.arange(size, device=values.device) // BLOCK for size in (cell.height, cell.width))
     label = (i[:, None] * wide + j) * DIRECTIONS + direction
-    total = torch.zeros(-(-cell.height // BLOCK) * wide * DIRECTIONS, dtype=torch.float64, device=values.device)
+    total = torch.zeros(tall * wide * DIRECTIONS, dtype=torch.float64, device=values.device)
     for here, power in zip(label, (across.square() + down.square()).square(), strict=True):
         total.index_add_(0, here.flatten(), power.flatten())
     return total.view(-1, DIRECTIONS)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in
-from torch_mcaa.estimators.parts import FEWEST, PLAIN, SAMPLED, Part, Parts
+from torch_mcaa.estimators.parts import FEWEST_LINES, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.grid import Cell
 
 _CLASSES = 3
@@ -30,7 +30,7 @@ def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: in
     for where, label in pixels:
         count = max(parts.fewest, int(label * min(1.0, left / max(1, total))))
         more = parts.sampled(where, count, where.height * where.width * count)
-        _add(part.cut(where.within(cell)), more, 0, count, SAMPLED if count > FEWEST else PLAIN)
+        _add(part.cut(where.within(cell)), more, 0, count, SAMPLED if count > FEWEST_LINES else PLAIN)
 
 
 def sampled_further(

@@ -12,7 +12,7 @@ from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, sizes_of
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, shape_of, sizes_of
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
 from torch_mcaa.estimators.sides import sides
@@ -79,7 +79,7 @@ class Corrector:
         self.plain = plain.to(torch.float64)
         self.work = Leveller(ask, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
-        self.blocks, self.sizes = (-(-ask.cell.height // BLOCK), -(-ask.cell.width // BLOCK)), sizes_of(ask.cell).to(allowed.device)
+        self.blocks, self.sizes = shape_of(ask.cell), sizes_of(ask.cell).to(allowed.device)
         self.most_steps = steps
 
     def run(self, finder: Finder) -> Corrected | None:

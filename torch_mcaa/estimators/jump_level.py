@@ -132,7 +132,7 @@ class Leveller:
         reach, cell = self.window.reach, self.cell
         mask = torch.zeros(cell.height + 2 * reach, cell.width + 2 * reach, dtype=torch.bool, device=self.window.device)
         for axis, (along, across) in enumerate(places):
-            x, y = (along, across) if axis == 0 else (across, along)
+            x, y = placed(axis, along, across)
             row, col = y.floor().long() - (cell.row - reach), x.floor().long() - (cell.col - reach)
             inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
             mask[row[inside], col[inside]] = True
@@ -288,7 +288,7 @@ class Leveller:
         """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""
         reach = self.window.reach + 1
         wide = _widened(wanted, reach)
-        x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)
+        x, y = placed(segments.axis, segments.low, segments.across)
         row = (y.floor().long() - self.cell.row + reach).clamp(0, wide.shape[0] - 1)
         col = (x.floor().long() - self.cell.col + reach).clamp(0, wide.shape[1] - 1)
         return wide[row, col]

@@ -42,8 +42,8 @@ PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT, DRAWN = range(7)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
-FEWEST = 3
-"""Lines."""
+FEWEST_LINES = 3
+"""Of a lattice whose jumps are to be located."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 _STEP = 0.25
@@ -70,7 +70,7 @@ def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:
 
 def lines_for(spp: float) -> int:
     """Points, and lines, a pixel of the lattice whose jumps are to be located with `spp` evaluations; odd."""
-    count = max(3, int(_SHARE * spp + 0.5))
+    count = max(FEWEST_LINES, int(_SHARE * spp + 0.5))
     return count - 1 + count % 2
 
 
@@ -181,7 +181,7 @@ class Parts:
         """
         task = self.task
         pixels = sum(each.height * each.width for each in rectangles)
-        fewest = max(FEWEST, self.fewest)
+        fewest = max(FEWEST_LINES, self.fewest)
         while count - 2 >= fewest and (count + self.audited) * pixels > budget:
             count -= 2
         if (count + self.audited) * pixels > budget:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +16,7 @@ from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
+from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel, shape_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.directions import directions
 from torch_mcaa.estimators.further import sampled_first, sampled_further
@@ -140,7 +141,7 @@ class PilotedRound(Round):
             sampled_further(self.parts, part, cell, seen.spread, seen.edges, left, None if most is None else self.spp)
         else:
             sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
-        crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
+        crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(shape_of(cell)), cell)
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()
 
@@ -163,13 +164,12 @@ class PilotedRound(Round):
         x, y = x[None].to(self.task.device), y[None].to(self.task.device)
         samples = Everywhere(x, y, 0, row, col, values[:, :, None], codes=codes)
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
-        blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
         with ask.keeping(KEPT):
             if codes is not None:
                 from torch_mcaa.estimators.decided import worthwhile
 
                 found, _, _ = worthwhile(ask, cell, found, parts.seed)
-            judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
+            judged = judge(ask, found, [blocks_of(cell, s) for s in found], math.prod(shape_of(cell)), JUDGED, parts.seed)
         if self.jumps:
             judged.verdict.fill_(Verdict.JUMPS)
             judged.tried.fill_(_SURE)
@@ -208,7 +208,7 @@ class PilotedRound(Round):
 
 def _jumping(cell: Cell, judged: Judged) -> Tensor:
     """The blocks that are known to jump: many candidates say so, or of a block beside, into which an edge that few of its own met goes on."""
-    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    size = shape_of(cell)
     sure = (judged.verdict == Verdict.JUMPS) & (judged.tried >= _SURE)
     beside = dilated(sure.view(size), 1).flatten()
     return sure | (beside & ((judged.verdict == Verdict.JUMPS) | (judged.verdict == Verdict.NONE)))

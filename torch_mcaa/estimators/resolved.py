@@ -19,7 +19,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.pilot import Verdict
 from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Task, box3
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of
+from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of, shape_of
 from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.estimators.parts import PLAIN, Part
 from torch_mcaa.estimators.steepness import steepness_of
@@ -202,8 +202,7 @@ class Resolved:
         off = (ours.to(theirs) - theirs).square().mean(2)
         small = torch.minimum(height, width) < 2 * ring + _CHECKED
         off = torch.where(small, torch.inf, off).to(value)
-        shape = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
-        return by_pixel(off.unflatten(1, shape), cell)
+        return by_pixel(off.unflatten(1, shape_of(cell)), cell)
 
     def _other(self, suited: list[Suited], margin: float) -> tuple[Tensor, Tensor, Tensor]:
         """Places x, y (J,) from a corner of what is checked, and the weights (pixels, J) of its pixels: a hexagonal lattice, turned at random."""
