@@ -27,6 +27,9 @@ SCENE = '''
 from __future__ import annotations
 
 import dataclasses
+import time
+import warnings
+
 import torch
 
 import palette
@@ -68,6 +71,16 @@ def number(x, y):
 
 def interrupted(x, y):
     raise KeyboardInterrupt
+
+
+def slow(x, y):
+    time.sleep(0.01)
+    return disc(x, y)
+
+
+def random(x, y):
+    warnings.warn("of the scene's own")
+    return torch.rand_like(x)
 
 
 lens = Disc(4.0)
@@ -248,6 +261,19 @@ def test_no_time_writes_nothing(folder: Path, run: Run) -> None:
     status, _, err = run("render", "scene.py:disc", "--size", "8x8", "--seconds", "1e-9", "-o", "out.png")
     assert status == 2 and "no pixel had a sample" in err
     assert not Path("out.png").exists()
+
+
+def test_time_that_does_not_last_is_said(folder: Path, run: Run) -> None:
+    status, out, err = run("render", "scene.py:slow", "--size", "512x512", "--seconds", "0.05", "-o", "out.npz")
+    assert status == 0 and "stopped by seconds" in out
+    missing = int(read_image("out.npz").isnan().sum())
+    assert 0 < missing < 512 * 512 and err.startswith(f"mcaa: the time was up before {missing} of 262144 pixels had a sample")
+
+
+def test_warnings_are_said_in_a_line(folder: Path, run: Run) -> None:
+    with pytest.warns(UserWarning, match="of the scene's own"):
+        status, _, err = run("render", "scene.py:random", "--size", "32x32", "-o", "out.npz")
+    assert status == 0 and err.startswith("mcaa: f is random") and err.count("\n") == 1
 
 
 def test_version(folder: Path, run: Run) -> None:

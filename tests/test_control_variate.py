@@ -12,6 +12,7 @@ from torch_mcaa import scenes
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.control_variate import ControlVariate, _fitted
 from torch_mcaa.filters import Filter
+from torch_mcaa.filters.gauss import legendre
 from torch_mcaa.filters.moments import moment, variance
 from torch_mcaa.scenes import Scene
 
@@ -93,7 +94,7 @@ def test_polynomials_are_exact(order: int, filter: Filter):
 
     def exact(c: torch.Tensor, r: torch.Tensor) -> torch.Tensor:
         # by the quadrature of the filter's support with which the moments were made, of f itself
-        nodes, weight = mcaa.filters.quadrature.legendre(torch.linspace(-filter.radius[0], filter.radius[0], 241, dtype=F64), 4)
+        nodes, weight = legendre(torch.linspace(-filter.radius[0], filter.radius[0], 241, dtype=F64), 4)
         dx, dy = nodes[None], nodes[:, None]
         w = filter(dx, dy) * weight * weight[:, None]
         return torch.stack([torch.stack([(w * f(x + dx, y + dy)).sum() / w.sum() for x in c[0]]) for y in r[:, 0]])
@@ -150,7 +151,7 @@ def test_unbiased_where_a_fit_to_its_own_points_is_not(filter: Filter, order: in
     def f(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         return torch.cos(2 * math.pi * (x - 0.5)) + torch.cos(2 * math.pi * (y - 0.5)) ** 2 + 1
 
-    nodes, weight = mcaa.filters.quadrature.legendre(torch.linspace(-filter.radius[0], filter.radius[0], 241, dtype=F64), 8)
+    nodes, weight = legendre(torch.linspace(-filter.radius[0], filter.radius[0], 241, dtype=F64), 8)
     w = filter(nodes[None], nodes[:, None]) * weight * weight[:, None]
     truth = float((w * f(0.5 + nodes[None], 0.5 + nodes[:, None])).sum())
     chosen = ControlVariate(order, mcaa.Independent())

@@ -63,7 +63,7 @@ def test_jumps_tell_the_directions_of_edges_closer_than_samples(turn: float, mon
         seen.append((edges.sum(0), found.sum(0)))
         return found
 
-    monkeypatch.setattr("torch_mcaa.estimators.auto.faced", noted)
+    monkeypatch.setattr("torch_mcaa.estimators.piloted.faced", noted)
     mcaa.render(lambda x, y: (torch.remainder(x * math.cos(turn) + y * math.sin(turn), 2.1) < 0.9).to(x.dtype), (64, 64), spp=16)
     near = torch.from_numpy(np.abs((angles() - turn + math.pi / 2) % math.pi - math.pi / 2) < 2.1 * math.pi / DIRECTIONS)
     ((before, after),) = seen

@@ -16,7 +16,7 @@ from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.counted import Counted, Precision
 from torch_mcaa.estimators.resolved import Grid, Resolved
 from torch_mcaa.estimators.steepness import steepness_of
-from torch_mcaa.estimators.suited import Suited, suited
+from torch_mcaa.estimators.suited import Suited, choose
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 from torch_mcaa.patterns.nested import Nested, distances, nested
@@ -141,7 +141,7 @@ def test_lattices_are_chosen_by_the_directions_of_f() -> None:
     def chosen(f: Callable) -> int:
         work, grid, ask = resolved(f)
         steep = steepness_of(ask, CELL, grid.planes(CELL, 0)[:, 0], 3)
-        (found,) = suited(work.bandwidth, steep, torch.full_like(steep.mean, 1e-3), torch.ones(1, dtype=torch.bool))
+        (found,) = choose(work.bandwidth, steep, torch.full_like(steep.mean, 1e-3), torch.ones(1, dtype=torch.bool))
         return 0 if found is None else found.lattice.count
 
     counts = []

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import gc
 import itertools
 import math
 import subprocess
 import sys
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -22,10 +24,12 @@ import torch_mcaa as mcaa
 from torch_mcaa.arguments import task_of
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.parts import EXACT
+from torch_mcaa.estimators.texel_weights import Axis
 from torch_mcaa.estimators.texels import Texels
 from torch_mcaa.filters import Filter, SeparableFilter
+from torch_mcaa.filters.gauss import legendre
 from torch_mcaa.filters.moments import moment
-from torch_mcaa.filters.quadrature import FEW, legendre, panels
+from torch_mcaa.filters.quadrature import FEW, panels
 from torch_mcaa.grid import Screen
 from torch_mcaa.texture import Interpolation, Wrap
 
@@ -352,3 +356,23 @@ def test_memory_does_not_grow_with_the_texture() -> None:
     expected = texels.double().view(4, 500, 4, 750).mean((1, 3))
     nearest = mcaa.render(mcaa.Texture(texels, "nearest"), (4, 4), filter=mcaa.Box(), dtype=F64, progress=False)
     np.testing.assert_allclose(nearest.image[0].numpy(), expected.numpy(), rtol=0, atol=1e-14)
+
+
+def test_a_texture_is_looked_at_once_a_picture_and_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Axis] = []
+    fits = Axis.fits
+
+    def counted(self: Axis, filter: SeparableFilter) -> bool:
+        asked.append(self)
+        return fits(self, filter)
+
+    monkeypatch.setattr(Axis, "fits", counted)
+    texels = torch.rand(1, 20, 20, generator=torch.Generator().manual_seed(0))
+    texture = weakref.ref(texels)
+    gc.disable()
+    try:
+        mcaa.render(mcaa.Texture(texels), (8, 8), progress=False)
+        del texels
+        assert len(asked) == 2 and texture() is None
+    finally:
+        gc.enable()

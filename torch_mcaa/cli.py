@@ -115,9 +115,9 @@ def render(
         if transform is not None:
             raise McaaError(f"--transform is for image files, and {scene!r} is a function; transform x and y in it")
         f, shape = load_function(scene), _size(size or "512x512")
-    with warnings.catch_warnings():
-        # of a user's interruption; it is said below, in a line
-        warnings.simplefilter("ignore", McaaWarning)
+    with warnings.catch_warnings(record=True) as said:
+        # whatever filters ask for: a line each, below
+        warnings.simplefilter("always", McaaWarning)
         picture = _render(
             f,
             shape,
@@ -131,8 +131,7 @@ def render(
             nonfinite=nonfinite,  # pyright: ignore[reportArgumentType]
             seed=seed,
         )
-    empty = int(picture.image.isnan().all(0).sum()) if picture.stopped == "seconds" else 0
-    if empty == picture.spp.numel():
+    if picture.stopped == "seconds" and not bool(picture.spp.any()) and bool(picture.image.isnan().all()):
         raise McaaError(f"no pixel had a sample when the time was up, and nothing is written; give more than --seconds {seconds:g}")
     picture.save(output, bits=bits, force=force)
     error = picture.stderr[picture.stderr.isfinite()]
@@ -143,10 +142,12 @@ def render(
     )
     if int(picture.invalid.sum()):
         print(f"{int(picture.invalid.sum())} evaluations were not finite", file=sys.stderr)
-    if empty:
-        print(f"mcaa: the time was up before {empty} of {picture.spp.numel()} pixels had a sample: they are NaN", file=sys.stderr)
+    for each in said:
+        if issubclass(each.category, McaaWarning):
+            print(f"mcaa: {each.message}", file=sys.stderr)
+        else:
+            warnings.showwarning(each.message, each.category, each.filename, each.lineno)
     if picture.stopped == "interrupted":
-        print("mcaa: interrupted: pixels without a value are NaN, with a standard error of +inf", file=sys.stderr)
         sys.exit(130)
 
 

@@ -134,7 +134,7 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
             McaaWarning,
             stacklevel=3,
         )
-    bias = list(work.estimator.bias(task))
+    bias = list(work.bias)
     if work.number > 1 and (work.tolerance is not None or task.deadline is not None):
         bias.append("rounds ended where the samples themselves said so")
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
@@ -181,7 +181,7 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
 def _without_moment(work: Rounds, picture: Estimate) -> int:
     """How many pixels have no standard error because f was found to have no second moment there."""
     if picture.diagnostics is not None:
-        return int(((picture.diagnostics.pareto_k > 0.5) & picture.variance.isinf()).any(0).sum())
+        return int(picture.without_moment.sum())
     if not work.heavy:
         return 0
     lost = torch.zeros_like(picture.points, dtype=torch.bool)

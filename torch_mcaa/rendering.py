@@ -66,7 +66,7 @@ class Rendering:
         """
         plane = torch.zeros_like(self.stderr)
         for cell, floor in self.floors:
-            plane[:, cell.row : cell.row + cell.height, cell.col : cell.col + cell.width] = floor
+            plane[:, *cell.window] = floor
         return plane
 
     def interval(self, level: float = 0.95) -> tuple[Tensor, Tensor]:

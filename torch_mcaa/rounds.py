@@ -57,6 +57,7 @@ class Rounds:
     bar: Progress
     histories: list[History] = field(init=False)
     number: int = field(default=0, init=False)
+    bias: dict[str, None] = field(default_factory=dict, init=False)
     predicted_optimum: float | None = field(default=None, init=False)
     heavy: list[tuple[Cell, Tensor]] = field(default_factory=list, init=False)
     model: Tensor | None = field(default=None, init=False)
@@ -200,6 +201,7 @@ class Rounds:
                 inside[cell.window] = True
             pixels = int(inside.sum())
             total = left if left < (asked + 1) * pixels else asked * pixels
+            self.bias |= dict.fromkeys(self.estimator.bias(self.task, asked))
             counts, self.predicted_optimum = shared_out(self.estimator.allocation, self._picture, inside, total, self._floor)
             return PixelwiseRound(self.estimator, self.task, total / pixels, self.number, counts)
         while True:
@@ -209,6 +211,7 @@ class Rounds:
                 current = self.estimator.round_within(self.task, asked, self.number, most, self.tolerance, wanted.jumps)
             # a cut pattern can hold more than its share
             if asked == self.estimator.fewest or sum(current.points(cell) for cell in active) <= left:
+                self.bias |= dict.fromkeys(self.estimator.bias(self.task, asked))
                 return current
             asked -= 1
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings, bisect
 from torch_mcaa.edges.candidates import Segments, candidates
-from torch_mcaa.edges.foretell import narrowed
+from torch_mcaa.edges.foretell import narrowed_all
 
 SLOPE, LINES = 0.37, 5
 
@@ -38,6 +38,10 @@ def slanted() -> tuple[Ask, Segments, Crossings, Tensor]:
     known = crossings(0, even, edge(even), torch.full((1, len(even)), 3.0, dtype=torch.float64), samples)
     f.count = 0
     return f, found, known, edge(found.across)
+
+
+def narrowed(f: Ask, found: Segments, known: Crossings, apart: float, seed: int) -> Segments:
+    return narrowed_all(f, [found], [known], apart, seed)[0]
 
 
 def same(a: Segments, b: Segments) -> bool:

@@ -8,11 +8,12 @@ import pytest
 import torch
 from gradients import Score, edges, main, score
 from jumping import FILTERED, MORE, SIZE, TABLE, THIN, Case
+from terms import boundary_term
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.grid import Cell, Screen
-from torch_mcaa.traced.boundary import boundary_term, elements, splat, surrogate
+from torch_mcaa.traced.boundary import elements, splat, surrogate
 from torch_mcaa.traced.once import zero_with_gradient
 
 SCREEN = Screen.of(SIZE)

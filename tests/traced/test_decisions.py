@@ -7,12 +7,12 @@ import math
 import pytest
 import torch
 from steps import SPELLINGS
+from terms import boundary_term
 from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.grid import Screen
-from torch_mcaa.traced.boundary import boundary_term
 from torch_mcaa.traced.decisions import in_place, name_of, rule_of
 
 SCREEN = Screen.of((12, 12))

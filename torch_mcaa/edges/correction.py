@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings
+from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.missed import missed
 from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pixels import Pixels
@@ -72,7 +72,7 @@ class Window:
         total = self.zeros(pixels, 1)[0]
         some = self.reaching(pixels, axis, along, across)
         along, across, size = (pick(each, some) for each in (along, across, size))
-        places = (along, across) if axis == 0 else (across, along)
+        places = placed(axis, along, across)
         for at in slices(len(size)):
             x, y = (place[at] for place in places)
             cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
@@ -86,7 +86,7 @@ class Window:
 
     def reaching(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> Tensor:
         """The indices of places that may reach a pixel of the rectangle."""
-        x, y = (along, across) if axis == 0 else (across, along)
+        x, y = placed(axis, along, across)
         margin = self.margin - self.reach - 1
         inside = (x > pixels.col - margin) & (x < pixels.col + pixels.width + margin)
         return (inside & (y > pixels.row - margin) & (y < pixels.row + pixels.height + margin)).nonzero()[:, 0]

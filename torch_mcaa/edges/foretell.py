@@ -20,11 +20,6 @@ _WITHIN = 2.0**-9
 _FAR = 2.0**24
 
 
-def narrowed(ask: Ask, segments: Segments, known: Crossings, apart: float, seed: int) -> Segments:
-    """`narrowed_all` of segments along one axis."""
-    return narrowed_all(ask, [segments], [known], apart, seed)[0]
-
-
 def narrowed_all(ask: Ask, parts: Sequence[Segments], known: Sequence[Crossings], apart: float, seed: int) -> list[Segments]:
     """The segments, short brackets in the place of those in which one of `known` on a line either side foretells the only crossing.
 

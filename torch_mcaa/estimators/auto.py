@@ -3,61 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from torch_mcaa import rng
-from torch_mcaa.edges.candidates import Segments, candidates
-from torch_mcaa.edges.correction import Window
-from torch_mcaa.edges.lines import Everywhere
-from torch_mcaa.edges.pilot import Judged, Verdict, judge
-from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.base import Estimate, Estimator, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel
-from torch_mcaa.estimators.counted import Counted, Spent, is_random
-from torch_mcaa.estimators.directions import directions, faced
-from torch_mcaa.estimators.further import sampled_first, sampled_further
+from torch_mcaa.estimators.base import Estimator, Round, Task
 from torch_mcaa.estimators.importance import Importance
-from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.narrow import LEAST, WORTH, DrawnRound, held
-from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, PLAIN, SAMPLED, Part, Parts, cell_of, located
-from torch_mcaa.estimators.plans import plans_of
+from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, SAMPLED, cell_of, located
+from torch_mcaa.estimators.piloted import PilotedRound
 from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.estimators.sides import ends_in_step, sides
-from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound
+from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound, axes_of
 from torch_mcaa.filters import SeparableFilter
-from torch_mcaa.grid import Cell
 from torch_mcaa.tolerance import Tolerance
 
-# a tolerance's part, which pictures without one do not need
-if TYPE_CHECKING:
-    from torch_mcaa.estimators.resolved import Resolved
-
-_PILOT = 0x9110
-_SURE = 12
-"""Candidates from which on a block that was found to jump is not judged again."""
-_RING = 2
-"""Pixels around a cell that the pilot has samples in."""
 _FEWEST = 5
 """Evaluations a pixel for a pilot and a lattice of 3 with room to locate its jumps; with fewer there is no pilot."""
-_FEW = 256
-"""Pixels of a cell that cannot pay for a look at their candidates: they are sampled plainly."""
 _AGAIN = 6
 """The least of a round that is merged with others: a plain one would spoil jumps that have been located."""
-_MARGIN, _RESERVED = 1.2, 0.9
-"""What a part whose jumps are located may cost over what is expected where others are sampled plainly, which have what it leaves; and the
-part of their own share that these keep in any case."""
-_LEAST = 1e-4
-"""What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
-_MARGINS = 0.75
-"""What a crossing takes that margins locate, in parts of what bisection takes."""
-_MOSTLY = 0.5
-"""The share of a block's pixels that are sampled if the directions of its edges are asked for."""
-_TEXTURE = 0.01
-"""The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
 
 
 @dataclass(frozen=True)
@@ -100,15 +64,17 @@ class Auto(Estimator):
     def check(self, task: Task) -> None:
         Shared().check(task)
 
-    def bias(self, task: Task) -> tuple[str, ...]:
-        if Texels.of(task) is not None:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
+        if task.once(axes_of) is not None:
             return ()
-        if not _can_locate(task):
-            return Shared().bias(task)
-        return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task))
+        if _drawn(task, spp):
+            return Importance().bias(task, spp)
+        if spp < _FEWEST or not _can_locate(task):
+            return Shared().bias(task, spp)
+        return ("Auto: the samples themselves decide where jumps are looked for", *Shared().bias(task, spp))
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
-        if Texels.of(task) is not None:
+        if task.once(axes_of) is not None:
             return SIDE, SIDE
         if _drawn(task, spp):
             return Importance().cell(task, spp, adaptive)
@@ -123,20 +89,19 @@ class Auto(Estimator):
             return DrawnRound(task, spp, number, DRAWN)
         if spp < _FEWEST or not _can_locate(task):
             return Shared().round(task, spp, number)
-        return AutoRound(task, spp, number)
+        return PilotedRound(task, spp, number)
 
     def round_within(self, task: Task, spp: int, number: int, most: int, wanted: Tolerance, jumps: bool | None) -> Round:
-        if not _can_locate(task) or Texels.of(task) is not None or _drawn(task, spp):
+        if not _can_locate(task) or task.once(axes_of) is not None or _drawn(task, spp):
             return self.round(task, spp, number)
-        return AutoRound(task, spp, number, most=most, wanted=wanted, jumps=jumps if spp >= _FEWEST else False)
+        return PilotedRound(task, spp, number, most=most, wanted=wanted, jumps=jumps if spp >= _FEWEST else False)
 
 
 def _can_locate(task: Task) -> bool:
     """Whether the mean of the lines is good once jumps are located: where w ends in a step, lines must lie alike about its sides."""
-    filter = task.filter
-    if math.isinf(max(filter.radius)):
+    if math.isinf(max(task.filter.radius)):
         return False
-    return not ends_in_step(filter) or sides(filter) is not None
+    return not task.once(ends_in_step) or task.once(sides) is not None
 
 
 def _drawn(task: Task, spp: int) -> bool:
@@ -146,207 +111,5 @@ def _drawn(task: Task, spp: int) -> bool:
     """
     if task.boundary == "renormalize" and not isinstance(task.filter, SeparableFilter):
         return False
-    inside = held(task.filter, spp)
+    inside = held(task, spp)
     return inside < (LEAST if spp < _FEWEST else WORTH) if _can_locate(task) else inside < math.inf
-
-
-class _Seen(NamedTuple):
-    """What is known of the blocks of a cell after its pilot.
-
-    Attributes:
-        jumping: which are known to jump, decisions aside. texture: whether f has detail everywhere. spread: of neighbouring samples.
-        edges: (blocks, DIRECTIONS) how much there is of each direction, where rounds are not compared: these must have other lattices.
-        counts: under a tolerance how many points a pixel a lattice needs, in the first round.
-        done: blocks that are known well enough already, and what these and the attempt at others have `taken`.
-    """
-
-    judged: Judged
-    jumping: Tensor
-    texture: Tensor
-    spread: Tensor
-    edges: Tensor | None
-    counts: Tensor | None
-    done: list[tuple[Cell, Part]]
-    taken: int
-
-
-class AutoRound(Round):
-    """A pilot of one sample a pixel in each cell, and then each of its parts in its own way, or, without `plain`, all as one located part.
-
-    Under a tolerance, what is `wanted`, blocks whose jumps could not be located with `spp` evaluations a pixel have up to `most`, and where
-    nothing is to be located as many as f's steepness asks for; in the first round one lattice is tried where f is smooth, and is enough if it
-    says so itself. If there are no `jumps` there is a plain lattice alone; None is to look.
-    """
-
-    def __init__(
-        self,
-        task: Task,
-        spp: int,
-        number: int,
-        plain: bool = True,
-        most: int | None = None,
-        wanted: Tolerance | None = None,
-        jumps: bool | None = None,
-    ) -> None:
-        self.task, self.spp, self.plain, self.parts = task, spp, plain, Parts(task, number, audited=not plain)
-        self.most, self.wanted, self.jumps = most, wanted, jumps
-        self.per_pixel = float(spp)
-        self.first = number == 0
-        self.resolved: Resolved | None = None
-        # what f's frequencies ask for is known of products alone
-        if wanted is not None and jumps is not False and self.first and isinstance(task.filter, SeparableFilter):
-            from torch_mcaa.estimators.bandwidth import Bandwidth
-            from torch_mcaa.estimators.resolved import Resolved
-
-            self.resolved = Resolved(task, Bandwidth(task.filter), wanted, self.parts.seed)
-
-    def points(self, cell: Cell) -> int:
-        return self.spp * cell.height * cell.width
-
-    def estimate(self, cell: Cell) -> Estimate:
-        pixels = cell.height * cell.width
-        ask = self.parts.ask(cell, self.spp * pixels)
-        if pixels < _FEW or self.jumps is False:
-            return self.parts.joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
-        self.parts.random = is_random(ask, self.parts.seed)
-        try:
-            seen = self._pilot(cell, ask)
-        except Spent:
-            part = self.parts.sampled(cell, ask.left // pixels, ask.left)
-            return self.parts.joined(cell, [(cell, part)], ask).estimate()
-        audits = 0 if self.plain else pixels
-        second = 2 * Window.halo_of(self.task.filter) + 1
-        judged, done = seen.judged, seen.done
-        smooth = torch.zeros_like(seen.texture)
-        for where, _ in done:
-            smooth[blocks_in(cell, where)] = True
-        most = None if self.most is None else self.most - -(-seen.taken // pixels)
-        plans = plans_of(cell, judged, seen.texture, ask.left - audits, self.plain, second, most or 0, smooth, self.parts.fewest)
-        located = [plan for plan in plans if plan.lines]
-        plain = [plan for plan in plans if not plan.lines]
-        left, expected = ask.left, sum(plan.cost for plan in located)
-        reserved = sum(plan.cost for plan in plain)
-        if most is not None:
-            left = max(left, min(left + (most - self.spp) * pixels, int(_MARGIN * expected + reserved)))
-        for plan in located:
-            budget = int(
-                plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
-            )
-            size = sum(each.height * each.width for each in plan.cells)
-            more = 0 if most is None else max(0, most * size - budget)
-            parts = self.parts.located(cell, plan.cells, plan.lines, budget, plan.steps, seen.jumping, self.wanted, more)
-            done += parts
-            left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
-        part = self.parts.joined(cell, done, ask)
-        if seen.counts is None or self.most is None:
-            edges = seen.edges
-            if edges is not None and judged.sharp:
-                faces = self.parts.ask(cell, left)
-                plainly = tile_means((part.model == PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() > _MOSTLY
-                edges = faced(faces, judged, plainly, edges, self.parts.seed)
-                part, left = replace(part, points=part.points + faces.points), faces.left
-            part = sampled_further(self.parts, part, cell, seen.spread, edges, left, None if most is None else self.spp)
-        else:
-            part = sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
-        crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(-(-cell.height // BLOCK), -1), cell)
-        part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
-        return part.estimate()
-
-    def _pilot(self, cell: Cell, ask: Counted) -> _Seen:
-        """What one sample a pixel tells of the blocks."""
-        parts = self.parts
-        x, y = (rng.uniform(parts.seed, _PILOT, axis, dtype=torch.float64) for axis in (0, 1))
-        # a closed screen has no samples about it
-        resolved = self.resolved if self.task.boundary == "extend" else None
-        ring = _RING if resolved is None else max(_RING, resolved.halo)
-        row, col, bottom, right = cell.row - ring, cell.col - ring, cell.row + cell.height + ring, cell.col + cell.width + ring
-        if self.task.boundary != "extend":
-            row, col = max(row, 0), max(col, 0)
-            bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
-        values = ask.everywhere(float(x), float(y), row, col, bottom - row, right - col)
-        channels = self.task.integrand.channels
-        codes = values[channels:, :, None] if self.task.followed else None
-        values = values[:channels]
-        place = float(x), float(y), row, col, values
-        x, y = x[None].to(self.task.device), y[None].to(self.task.device)
-        samples = Everywhere(x, y, 0, row, col, values[:, :, None], codes=codes)
-        found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
-        blocks = -(-cell.height // BLOCK) * -(-cell.width // BLOCK)
-        with ask.keeping(KEPT):
-            if codes is not None:
-                from torch_mcaa.estimators.decided import worthwhile
-
-                found, _, _ = worthwhile(ask, cell, found, parts.seed)
-            judged = judge(ask, found, [blocks_of(cell, s) for s in found], blocks, JUDGED, parts.seed)
-        if self.jumps:
-            judged.verdict.fill_(Verdict.JUMPS)
-            judged.tried.fill_(_SURE)
-        jumping = _jumping(cell, judged)
-        if codes is not None:
-            judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
-        edges = directions(values, row, col, cell).cpu() if self.wanted is None and self.first else None
-        values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
-        counts, done, taken = None, [], 0
-        if self.resolved is not None:
-            from torch_mcaa.estimators.steepness import steepness_of
-
-            assert self.wanted is not None
-            steep = steepness_of(ask, cell, values, parts.seed)
-            allowed = self.wanted.allowed(steep.mean)
-            counts = self.resolved.bandwidth.points(steep.frequency, steep.std, allowed)
-            if resolved is not None and not parts.random:
-                from torch_mcaa.estimators.resolved import Grid
-                from torch_mcaa.estimators.suited import suited
-
-                assert self.most is not None
-                # beside an edge lines are better, that meet what the pilot missed of it
-                jumps = bool((judged.verdict == Verdict.JUMPS).any())
-                smooth = judged.verdict == Verdict.CONTINUOUS if jumps else judged.verdict != Verdict.NOISE
-                chosen = suited(resolved.bandwidth, steep, allowed, smooth.cpu())
-                done, taken = resolved.parts(cell, chosen, Grid(*place), ask, (self.most - self.spp) * cell.height * cell.width)
-        span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
-        steps = [
-            torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
-            for dim, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))
-        ]
-        # a median above a number: more than half are
-        texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
-        spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
-        # a few numbers a block, of which the CPU makes plans
-        return _Seen(
-            judged.cpu(),
-            jumping.cpu(),
-            texture.flatten().cpu(),
-            spread.flatten().to("cpu", torch.float64),
-            edges,
-            counts,
-            done,
-            taken,
-        )
-
-
-def _jumping(cell: Cell, judged: Judged) -> Tensor:
-    """The blocks that are known to jump: many candidates say so, or of a block beside, into which an edge that few of its own met goes on."""
-    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
-    sure = (judged.verdict == Verdict.JUMPS) & (judged.tried >= _SURE)
-    beside = dilated(sure.view(size), 1).flatten()
-    return sure | (beside & ((judged.verdict == Verdict.JUMPS) | (judged.verdict == Verdict.NONE)))
-
-
-def _decided(judged: Judged, blocks: list[Tensor]) -> Judged:
-    """Where f is seen to decide there is no doubt that it jumps; `blocks` of the segments along either axis in which it does."""
-    verdict = judged.verdict.clone()
-    for block in blocks:
-        verdict[block] = Verdict.JUMPS
-    fewer = [
-        crossed - (1 - _MARGINS) * torch.bincount(block, minlength=len(verdict))
-        for crossed, block in zip(judged.crossings, blocks, strict=True)
-    ]
-    return replace(judged, verdict=verdict, crossings=(fewer[0].clamp_min(0), fewer[1].clamp_min(0)))
-
-
-def _about(cell: Cell, segments: Segments) -> Segments:
-    """Those that begin at most a pixel beyond the cell: the last ones of the samples have no neighbours to be judged by."""
-    row, col = segments.key[:, 1], segments.key[:, 2]
-    inside = (row >= cell.row - 1) & (row <= cell.row + cell.height) & (col >= cell.col - 1) & (col <= cell.col + cell.width)
-    return segments.take(inside)

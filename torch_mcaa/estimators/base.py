@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import cached_property
+from typing import Any, Literal, TypeVar
 
 import torch
 from torch import Tensor
@@ -19,6 +21,7 @@ from torch_mcaa.traced.followed import Followed
 MANY = 100
 """Pixels that bear each other out: fewer say little of what none of them met, or of which of two estimates is better."""
 Boundary = Literal["extend", "zero", "renormalize"]
+Fact = TypeVar("Fact")
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,16 @@ class Task:
     """Whether f is compiled into the estimator's graph, where the estimator has one."""
     deadline: float | None = None
     """When to end, by `time.perf_counter`."""
+
+    @cached_property
+    def _known(self) -> dict[Callable[[Task], Any], Any]:
+        return {}
+
+    def once(self, fact: Callable[[Task], Fact]) -> Fact:
+        """What a function says of the task, which is asked the first time and remembered for as long as the task."""
+        if fact not in self._known:
+            self._known[fact] = fact(self)
+        return self._known[fact]
 
     @property
     def followed(self) -> Followed | None:
@@ -107,6 +120,12 @@ class Estimate:
     model: Tensor | None = None
     blind: Tensor | None = None
 
+    @property
+    def without_moment(self) -> Tensor:
+        """(h, w) bool: the pixels whose variance is +inf since the diagnostics found that f has no second moment there."""
+        assert self.diagnostics is not None
+        return ((self.diagnostics.pareto_k > 0.5) & self.variance.isinf()).any(0)
+
 
 class Round(ABC):
     """One round of an estimator: a pure function of (task, spp, number) and the cell."""
@@ -165,8 +184,8 @@ class Estimator(ABC):
         """Whether f has so much detail in the pixels that `model` (h, w) is of that one lattice alone does not tell how far it is off."""
         return False
 
-    def bias(self, task: Task) -> tuple[str, ...]:
-        """Why the mean of the value may differ from (1), a line a reason; empty if it does not."""
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
+        """Why the mean of a round of `spp` evaluations a pixel may differ from (1), a line a reason; empty if it does not."""
         return ()
 
     @abstractmethod

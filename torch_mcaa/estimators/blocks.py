@@ -7,12 +7,18 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torch_mcaa.edges.bisect import placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.grid import Cell
 
 BLOCK = 32
 """Px: the side of a block."""
+
+
+def shape_of(cell: Cell) -> tuple[int, int]:
+    """How many blocks a cell has down and across, those included that it cuts."""
+    return -(-cell.height // BLOCK), -(-cell.width // BLOCK)
 
 
 def rectangles_of(cell: Cell) -> Tensor:
@@ -31,15 +37,15 @@ def sizes_of(cell: Cell) -> Tensor:
 
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     """The block of the cell (S,), counted row by row, that each segment begins in, or the one that is nearest."""
-    x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)
+    x, y = placed(segments.axis, segments.low, segments.across)
     row = (y.floor().long() - cell.row).clamp(0, cell.height - 1) // BLOCK
     col = (x.floor().long() - cell.col).clamp(0, cell.width - 1) // BLOCK
-    return row * -(-cell.width // BLOCK) + col
+    return row * shape_of(cell)[1] + col
 
 
 def deciding(cell: Cell, found: Sequence[Segments]) -> Tensor:
     """bool (blocks,): those in which, or beside which, f is seen to decide."""
-    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    size = shape_of(cell)
     some = torch.zeros(size[0] * size[1], dtype=torch.bool, device=found[0].low.device)
     for segments in found:
         some[blocks_of(cell, segments.take(segments.decided > 0))] = True
@@ -55,7 +61,7 @@ def blocks_in(cell: Cell, part: Cell) -> Tensor:
     """The numbers of the blocks of a cell that are those of a part of it, which begins with a block."""
     rows = torch.arange((part.row - cell.row) // BLOCK, -(-(part.row - cell.row + part.height) // BLOCK))
     cols = torch.arange((part.col - cell.col) // BLOCK, -(-(part.col - cell.col + part.width) // BLOCK))
-    return (rows[:, None] * -(-cell.width // BLOCK) + cols).flatten()
+    return (rows[:, None] * shape_of(cell)[1] + cols).flatten()
 
 
 def by_pixel(by_block: Tensor, cell: Cell) -> Tensor:

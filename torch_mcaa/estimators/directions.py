@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa.edges.normals import REACH, slopes
 from torch_mcaa.edges.picking import numbers
 from torch_mcaa.edges.pilot import Judged
-from torch_mcaa.estimators.blocks import BLOCK
+from torch_mcaa.estimators.blocks import BLOCK, shape_of
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.turned import DIRECTIONS
@@ -40,10 +40,10 @@ def directions(values: Tensor, row: int, col: int, cell: Cell) -> Tensor:
     steep = (place * torch.exp(-place.square() / 2)).tolist()
     across, down = (_along(_along(samples, y, 1), x, 2) for x, y in ((steep, smooth), (smooth, steep)))
     direction = _number((down / across).nan_to_num(0.0))
-    wide = -(-cell.width // BLOCK)
+    tall, wide = shape_of(cell)
     i, j = (torch.arange(size, device=values.device) // BLOCK for size in (cell.height, cell.width))
     label = (i[:, None] * wide + j) * DIRECTIONS + direction
-    total = torch.zeros(-(-cell.height // BLOCK) * wide * DIRECTIONS, dtype=torch.float64, device=values.device)
+    total = torch.zeros(tall * wide * DIRECTIONS, dtype=torch.float64, device=values.device)
     for here, power in zip(label, (across.square() + down.square()).square(), strict=True):
         total.index_add_(0, here.flatten(), power.flatten())
     return total.view(-1, DIRECTIONS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -11,7 +10,7 @@ from torch import Tensor
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in
-from torch_mcaa.estimators.parts import FEWEST, PLAIN, SAMPLED, Part, Parts
+from torch_mcaa.estimators.parts import FEWEST_LINES, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.grid import Cell
 
 _CLASSES = 3
@@ -20,46 +19,35 @@ _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
 
-def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: int) -> Part:
-    """Of the `left` evaluations so many a pixel, `counts` (blocks,), in the blocks that have had none."""
-    density = torch.as_tensor(part.density).expand(cell.height, cell.width).clone()
-    had = density[::BLOCK, ::BLOCK].flatten() > 0
+def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: int) -> None:
+    """Give the blocks of `part`, from `Parts.joined`, that have had none so many of the `left` evaluations a pixel, `counts` (blocks,)."""
+    had = torch.as_tensor(part.density)[::BLOCK, ::BLOCK].flatten() > 0
     # neighbours alike
     steps = (2 ** ((4 * counts.to(torch.float64).log2()).ceil() / 4)).floor().long()
-    heavy = torch.zeros_like(part.value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
     labels = [0 if done else int(count) for count, done in zip(steps, had, strict=True)]
-    assert part.blind is not None
     pixels = [(where, labels[inside[0]]) for where, inside in cell.rectangles(BLOCK, labels) if labels[inside[0]]]
     total = sum(where.height * where.width * label for where, label in pixels)
     for where, label in pixels:
-        at, count = where.within(cell), max(parts.fewest, int(label * min(1.0, left / max(1, total))))
+        count = max(parts.fewest, int(label * min(1.0, left / max(1, total))))
         more = parts.sampled(where, count, where.height * where.width * count)
-        part.value[:, *at], part.variance[:, *at] = more.value, more.variance
-        part.blind[:, *at] = 0 if more.blind is None else more.blind
-        part.points[at] += more.points
-        part.invalid[at] += more.invalid
-        part.model[at] = SAMPLED if count > FEWEST else PLAIN
-        density[at] = count
-        if more.heavy is not None:
-            heavy[:, *at] |= more.heavy
-    return replace(part, heavy=heavy if bool(heavy.any()) else None, density=density)
+        _add(part.cut(where.within(cell)), more, 0, count, SAMPLED if count > FEWEST_LINES else PLAIN)
 
 
 def sampled_further(
     parts: Parts, part: Part, cell: Cell, spread: Tensor, edges: Tensor | None, left: int, most: int | None
-) -> Part:
-    """More samples, of the `left` evaluations, in the blocks with pixels whose jumps were not located and that are not known well enough.
+) -> None:
+    """Give more samples, of the `left` evaluations, to the blocks of `part` with pixels whose jumps were not located and that are not known
+    well enough; `part` is from `Parts.joined`.
 
     With what they have had, a third in equal shares and the rest by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
     place of the standard deviation; at most `most` a pixel on average. With lattices that suit the directions of the `edges` (blocks, DIRECTIONS).
     """
-    value, variance, free = part.value, part.variance, part.model == PLAIN
+    value, variance, density = part.value, part.variance, torch.as_tensor(part.density)
     finite = value.nan_to_num(0.0, 0.0, 0.0)
     span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
     known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
-    poor = (variance.sqrt() > known).any(0) & free
+    poor = (variance.sqrt() > known).any(0) & (part.model == PLAIN)
     some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten().cpu() > 0
-    density = torch.as_tensor(part.density).expand(cell.height, cell.width)
     # what a block has had, and, in steps of a factor of 4, how much f changes in it
     steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
     labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten().cpu()) * some).long().tolist()
@@ -69,31 +57,30 @@ def sampled_further(
         for where, inside in cell.rectangles(BLOCK, labels)
         if labels[inside[0]]
     ]
-    heavy = torch.zeros_like(value, dtype=torch.bool) if part.heavy is None else part.heavy.clone()
-    density, blind = density.clone(), torch.zeros_like(variance) if part.blind is None else part.blind
     for where, had, count in _counts(poorest, left, most, parts.fewest):
-        at = where.within(cell)
         suited = None if edges is None else edges[blocks_in(cell, where)].sum(0).numpy()
-        more, here = (
-            parts.sampled(where, count, left, suited if suited is not None and 0 < suited.sum() < math.inf else None),
-            free[at],
-        )
+        more = parts.sampled(where, count, left, suited if suited is not None and 0 < suited.sum() < math.inf else None)
         left -= more.spent
-        seen = 0 if more.blind is None else more.blind
-        if had:
-            share = here * _share(variance[:, *at] * here, had, more.variance * here, count)
-            value[:, *at] += (more.value - value[:, *at]) * share
-            variance[:, *at] = variance[:, *at] * (1 - share) ** 2 + more.variance * share**2
-            blind[:, *at] = blind[:, *at] * (1 - share) ** 2 + seen * share**2
-        else:
-            value[:, *at], variance[:, *at], blind[:, *at] = more.value, more.variance, seen
-        part.points[at] += more.points
-        part.invalid[at] += more.invalid
-        part.model[at] = torch.where(here, SAMPLED, part.model[at])
-        density[at] += here * count
-        if more.heavy is not None:
-            heavy[:, *at] |= more.heavy & here
-    return Part(value, variance, part.points, part.invalid, heavy if bool(heavy.any()) else None, part.model, density, blind)
+        _add(part.cut(where.within(cell)), more, had, count, SAMPLED)
+
+
+def _add(here: Part, more: Part, had: int, count: float, model: int) -> None:
+    """Merge a lattice of `count` points a pixel, in place, into a rectangle that has `had` some, but for pixels whose jumps were located."""
+    assert here.blind is not None and here.heavy is not None and isinstance(here.density, Tensor)
+    free, seen = here.model == PLAIN, 0 if more.blind is None else more.blind
+    if had:
+        share = free * _share(here.variance * free, had, more.variance * free, count)
+        here.value.add_((more.value - here.value) * share)
+        here.variance.copy_(here.variance * (1 - share) ** 2 + more.variance * share**2)
+        here.blind.copy_(here.blind * (1 - share) ** 2 + seen * share**2)
+    else:
+        here.value[:], here.variance[:], here.blind[:] = more.value, more.variance, seen
+    here.points.add_(more.points)
+    here.invalid.add_(more.invalid)
+    here.model.masked_fill_(free, model)
+    here.density.add_(free * count)
+    if more.heavy is not None:
+        here.heavy.logical_or_(more.heavy & free)
 
 
 def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None, fewest: int) -> list[tuple[Cell, int, float]]:

@@ -90,9 +90,9 @@ class Crude(Pixelwise):
                 "so the estimate would be biased; use Box(), Importance(), or Crude(biased_ok=True) to have it all the same"
             )
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         reason = f"Crude: {task.filter} reaches beyond the pixel; this is the box of the pixel"
-        return super().bias(task) + (() if _within_pixel(task) else (reason,))
+        return super().bias(task, spp) + (() if _within_pixel(task) else (reason,))
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         u, v = pixels.points(Independent(), n)

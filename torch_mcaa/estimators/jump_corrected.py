@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from torch import Tensor
 
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.auto import AutoRound
 from torch_mcaa.estimators.base import Estimator, Round, Task
 from torch_mcaa.estimators.narrow import check_held
 from torch_mcaa.estimators.parts import MODELS, cell_of, lines_for, located
+from torch_mcaa.estimators.piloted import PilotedRound
 from torch_mcaa.patterns import Lattice
 
 _FEWEST = 6
@@ -60,7 +60,7 @@ class JumpCorrected(Estimator):
         if math.isinf(max(task.filter.radius)):
             raise McaaError(f"JumpCorrected needs a filter of finite width, got {task.filter}; use Shared()")
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
@@ -68,4 +68,4 @@ class JumpCorrected(Estimator):
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         check_held(task, lines_for(spp), repr(self))
-        return AutoRound(task, spp, number, plain=False)
+        return PilotedRound(task, spp, number, plain=False)

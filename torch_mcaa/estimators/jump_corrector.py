@@ -12,12 +12,10 @@ from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, sizes_of
+from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, shape_of, sizes_of
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
 from torch_mcaa.estimators.sides import sides
-from torch_mcaa.filters import Filter
-from torch_mcaa.grid import Cell
 
 JUDGED = 24
 """Candidates of a block that it is judged by."""
@@ -52,7 +50,7 @@ class Corrected:
 
 
 class Corrector:
-    """The correction of one cell.
+    """The correction of the cell that f is asked in.
 
     Args:
         base: the lattice that was sampled in the pixels whose jumps are to be corrected and `Window.halo` pixels around them.
@@ -67,8 +65,6 @@ class Corrector:
     def __init__(
         self,
         ask: Counted,
-        cell: Cell,
-        filter: Filter,
         seed: int,
         base: Lines,
         plain: Tensor,
@@ -79,11 +75,11 @@ class Corrector:
         more: int = 0,
     ) -> None:
         self.enough, self.more = enough, more
-        self.ask, self.cell, self.seed, self.base = ask, cell, seed, base
+        self.ask, self.cell, self.seed, self.base = ask, ask.cell, seed, base
         self.plain = plain.to(torch.float64)
-        self.work = Leveller(ask, cell, filter, seed, self.plain)
+        self.work = Leveller(ask, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
-        self.blocks, self.sizes = (-(-cell.height // BLOCK), -(-cell.width // BLOCK)), sizes_of(cell).to(allowed.device)
+        self.blocks, self.sizes = shape_of(ask.cell), sizes_of(ask.cell).to(allowed.device)
         self.most_steps = steps
 
     def run(self, finder: Finder) -> Corrected | None:
@@ -157,7 +153,7 @@ class Corrector:
 
         What the variance of samples falls with: their number to the power 1.5, as on edges.
         """
-        if sides(self.work.window.filter) is not None:
+        if self.ask.task.once(sides) is not None:
             # lines that lie alike about the sides of a box err alike in both shifts
             return first
         pixels = first.pixels

@@ -25,8 +25,6 @@ from torch_mcaa.estimators.blocks import BLOCK, by_pixel, told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.regular import regular
 from torch_mcaa.estimators.sides import sides
-from torch_mcaa.filters import Filter
-from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
@@ -88,7 +86,7 @@ class Level:
 
 
 class Leveller:
-    """Shifts of lattices over one cell.
+    """Shifts of lattices over the cell that f is asked in.
 
     Attributes:
         plain: (C, h, w) the weighted means of a lattice that was sampled everywhere.
@@ -96,9 +94,9 @@ class Leveller:
         lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling.
     """
 
-    def __init__(self, ask: Counted, cell: Cell, filter: Filter, seed: int, plain: Tensor) -> None:
-        self.ask, self.cell, self.seed, self.plain = ask, cell, seed, plain
-        self.window = Window(filter, plain.device)
+    def __init__(self, ask: Counted, seed: int, plain: Tensor) -> None:
+        self.ask, self.cell, self.seed, self.plain = ask, ask.cell, seed, plain
+        self.window = Window(ask.task.filter, plain.device)
         self.finest, self.lost = 0.0, torch.zeros_like(plain[0], dtype=torch.bool)
         self.smooth = self.deciding = self.plain.new_zeros(0)
         # what following thin pieces took along either axis on the last shift: chance decides how many of them samples hit
@@ -134,7 +132,7 @@ class Leveller:
         reach, cell = self.window.reach, self.cell
         mask = torch.zeros(cell.height + 2 * reach, cell.width + 2 * reach, dtype=torch.bool, device=self.window.device)
         for axis, (along, across) in enumerate(places):
-            x, y = (along, across) if axis == 0 else (across, along)
+            x, y = placed(axis, along, across)
             row, col = y.floor().long() - (cell.row - reach), x.floor().long() - (cell.col - reach)
             inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
             mask[row[inside], col[inside]] = True
@@ -144,7 +142,7 @@ class Leveller:
         """A shift of a lattice of `count`, asked as far as the pixels `wanted` (h, w) need it; the axes of `known` are taken over."""
         window, halo, cell = self.window, self.window.halo, self.cell
         sx, sy = (float(rng.uniform(self.seed, _SHIFT, number, axis, dtype=torch.float64)) for axis in (0, 1))
-        strip = Lattice().strip(count, number, False, (sx, sy), lines=True, sides=sides(window.filter))
+        strip = Lattice().strip(count, number, False, (sx, sy), lines=True, sides=self.ask.task.once(sides))
         x, y = (torch.from_numpy(places).to(window.device) for places in (strip.x, strip.y))
         asked = torch.nn.functional.pad(wanted, (halo,) * 4)
         # those at the cell's border have no pixel of their own beside them that would be asked for more
@@ -294,7 +292,7 @@ class Leveller:
         """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""
         reach = self.window.reach + 1
         wide = _widened(wanted, reach)
-        x, y = (segments.low, segments.across) if segments.axis == 0 else (segments.across, segments.low)
+        x, y = placed(segments.axis, segments.low, segments.across)
         row = (y.floor().long() - self.cell.row + reach).clamp(0, wide.shape[0] - 1)
         col = (x.floor().long() - self.cell.col + reach).clamp(0, wide.shape[1] - 1)
         return wide[row, col]

@@ -10,7 +10,6 @@ import torch
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Estimate, Round, Task
 from torch_mcaa.estimators.importance import Importance
-from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Cell
 
 LEAST = 2.0
@@ -23,8 +22,9 @@ WORTH = 5.0
 _PLACES = 128
 
 
-def area(filter: Filter) -> float:
+def area(task: Task) -> float:
     """(integral of |w|)^2 / integral of w^2: how many px^2 count under a filter; as many pixels share a sample, and inf under endless ones."""
+    filter = task.filter
     if math.isinf(max(filter.radius)):
         return math.inf
     steps = (torch.arange(_PLACES, dtype=torch.float64) + 0.5) / _PLACES * 2 - 1
@@ -32,9 +32,9 @@ def area(filter: Filter) -> float:
     return float(4 * filter.radius[0] * filter.radius[1] * w.mean().square() / w.square().mean())
 
 
-def held(filter: Filter, count: int) -> float:
+def held(task: Task, count: int) -> float:
     """How many of `count` points a pixel lie inside a filter that takes less than a pixel, on average; inf for others, whose samples are shared."""
-    covered = area(filter)
+    covered = task.once(area)
     return count * covered if covered < 1 else math.inf
 
 
@@ -44,7 +44,7 @@ def check_held(task: Task, count: int, what: str) -> None:
     Raises:
         McaaError: on average fewer than `LEAST`, so that in some pixels there is none.
     """
-    inside = held(task.filter, count)
+    inside = held(task, count)
     if inside < LEAST:
         raise McaaError(
             f"{what}: {task.filter} is so narrow that of {count} evaluations a pixel {inside:.2g} lie inside it, and it needs {LEAST:g}; "
@@ -63,7 +63,6 @@ class DrawnRound(Round):
 
     def estimate(self, cell: Cell) -> Estimate:
         found = self.drawn.estimate(cell)
-        assert found.diagnostics is not None
-        lost = ((found.diagnostics.pareto_k > 0.5) & found.variance.isinf()).any(0)
+        lost = found.without_moment
         model = torch.full_like(found.points, self.model, dtype=torch.uint8)
         return replace(found, diagnostics=None, heavy=lost if bool(lost.any()) else None, model=model)

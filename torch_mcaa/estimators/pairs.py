@@ -86,9 +86,9 @@ class Pairs(Pixelwise):
         if self.checked:
             Importance(Independent()).check(task)
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         reason = "Pairs: that the pairs fulfil (3) is not checked; check=True does it"
-        return super().bias(task) + (() if self.checked else (reason,))
+        return super().bias(task, spp) + (() if self.checked else (reason,))
 
     def draw(self, pixels: Pixels, n: int) -> Drawn:
         k = len(self.pairs)

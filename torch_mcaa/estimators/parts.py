@@ -42,8 +42,8 @@ PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT, DRAWN = range(7)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
-FEWEST = 3
-"""Lines."""
+FEWEST_LINES = 3
+"""Of a lattice whose jumps are to be located."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 _STEP = 0.25
@@ -70,7 +70,7 @@ def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:
 
 def lines_for(spp: float) -> int:
     """Points, and lines, a pixel of the lattice whose jumps are to be located with `spp` evaluations; odd."""
-    count = max(3, int(_SHARE * spp + 0.5))
+    count = max(FEWEST_LINES, int(_SHARE * spp + 0.5))
     return count - 1 + count % 2
 
 
@@ -108,7 +108,7 @@ class Part:
         floor = unseen(self.value, self.density)
         variance = settled(self.variance, self.value, floor)
         heavy = None
-        if self.heavy is not None:
+        if self.heavy is not None and bool(self.heavy.any()):
             variance.masked_fill_(self.heavy, torch.inf)
             heavy = self.heavy.any(0)
         return Estimate(
@@ -131,7 +131,7 @@ class Parts:
 
     def __init__(self, task: Task, number: int, audited: bool) -> None:
         self.task, self.number, self.audited = task, number, audited
-        self.fewest = max(1, math.ceil(SOME / held(task.filter, 1)))
+        self.fewest = max(1, math.ceil(SOME / held(task, 1)))
         self.seed = int(rng.bits(task.seed, _STREAM, number))
         self.random = False
         self._lattices: dict[tuple[float, bool, tuple[int, int, int] | None], LatticeRound] = {}
@@ -181,7 +181,7 @@ class Parts:
         """
         task = self.task
         pixels = sum(each.height * each.width for each in rectangles)
-        fewest = max(FEWEST, self.fewest)
+        fewest = max(FEWEST_LINES, self.fewest)
         while count - 2 >= fewest and (count + self.audited) * pixels > budget:
             count -= 2
         if (count + self.audited) * pixels > budget:
@@ -212,9 +212,7 @@ class Parts:
         inside, any_of_them = torch.as_tensor(part.density) > 0, part.value[:, *plain[0][0].within(cell)][:, :1, :1]
         value = torch.where(inside, part.value, any_of_them)
         enough = None if wanted is None else wanted.allowed(value.to(torch.float64)) / FEW_SHIFTS[0]
-        corrector = Corrector(
-            ask, cell, task.filter, self.seed, Lines(x, y, 0), value, allowed & (not self.random), steps, jumping, enough, more
-        )
+        corrector = Corrector(ask, self.seed, Lines(x, y, 0), value, allowed & (not self.random), steps, jumping, enough, more)
         result = corrector.run(finder)
         if result is not None:
             rows, cols, kept = result.rows, result.cols, slice(None)
@@ -293,7 +291,10 @@ class Parts:
         return allowed
 
     def joined(self, cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
-        """Parts of a cell as one, with the evaluations of the pilot; what is in none of them has no samples, and a variance of +inf."""
+        """Parts of a cell as one, all planes its own, with the evaluations of the pilot.
+
+        What is in none of them has no samples, and a variance of +inf.
+        """
         shape = self.task.integrand.channels, cell.height, cell.width
         plane = torch.zeros(shape, dtype=self.task.dtype, device=self.task.device)
         value, variance, heavy = plane, torch.full_like(plane, torch.inf), torch.zeros_like(plane, dtype=torch.bool)
@@ -309,4 +310,4 @@ class Parts:
                 heavy[:, *at] = part.heavy
             if part.blind is not None:
                 blind[:, *at] = part.blind
-        return Part(value, variance, points, invalid, heavy if bool(heavy.any()) else None, model, density, blind)
+        return Part(value, variance, points, invalid, heavy, model, density, blind)

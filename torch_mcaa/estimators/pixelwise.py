@@ -142,7 +142,7 @@ class Pixelwise(Estimator):
                 f"boundary='renormalize' needs the integral of w over the screen, known for separable filters only, not {task.filter}; use Shared"
             )
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         if self.combine == "pooled" and not isinstance(self.allocation, Uniform):
             return (f"combine='pooled': the pilot chose the numbers of evaluations that weigh it ({self.allocation})",)
         return ()

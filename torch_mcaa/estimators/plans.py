@@ -9,12 +9,11 @@ from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, sizes_of
+from torch_mcaa.estimators.blocks import BLOCK, shape_of, sizes_of
 from torch_mcaa.estimators.jump_corrector import STEPS
-from torch_mcaa.estimators.parts import lines_for
+from torch_mcaa.estimators.parts import FEWEST_LINES, lines_for
 from torch_mcaa.grid import Cell
 
-_FEWEST_LINES = 3
 _ENOUGH_LINES = 5
 _CALM_LINES = 7
 """Of quiet blocks, where others are sampled plainly and can use what these leave: hairlines are still met by many."""
@@ -56,7 +55,7 @@ def plans_of(
     second: int,
     ample: int = 0,
     done: Tensor | None = None,
-    fewest: int = _FEWEST_LINES,
+    fewest: int = FEWEST_LINES,
 ) -> list[Plan]:
     """Those for the blocks of a cell that are not `done`, the one of the most lines last: as many as `budget` evaluations are expected to pay for.
 
@@ -106,19 +105,19 @@ def _lines(
     cost = pixels + (_CROSSING + _CROSSING_STEP * steps) * crossings + second * more + (_LINE + _LINE_STEP * steps) * judged.lines
     jumps = judged.verdict == Verdict.JUMPS
     if not plain:
-        count = max(_FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
+        count = max(FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
         return torch.full_like(quiet, count - 1 + count % 2, dtype=torch.int64), torch.where(jumps, cost, pixels)
-    share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, _FEWEST_LINES / _SAFE * cost)), share)
-    dear = _FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
-    busy = jumps & (_FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
+    share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, FEWEST_LINES / _SAFE * cost)), share)
+    dear = FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
+    busy = jumps & (FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
     while bool(busy.any()):
         both = _SAFE * float(share[busy | quiet].sum() / cost[busy | quiet].sum())
         alone = _SAFE * float((share[busy].sum() + (share - most * cost)[quiet].sum()) / cost[busy].sum())
         alike = both > _ALIKE * most
         count = min(most, int(both if alike else alone))
-        if count >= min(_ENOUGH_LINES, most) or (count >= _FEWEST_LINES and not bool((busy & dear).any())):
+        if count >= min(_ENOUGH_LINES, most) or (count >= FEWEST_LINES and not bool((busy & dear).any())):
             few = int(busy.sum()) < _SPARSE * int(jumps.sum())
-            count = _FEWEST_LINES if few else count - 1 + count % 2
+            count = FEWEST_LINES if few else count - 1 + count % 2
             calm = count if alike and not few else most if bool((busy | quiet).all()) else min(most, _CALM_LINES)
             return torch.where(busy, count, torch.where(quiet, calm, 0)), cost
         # for its size: a block that the screen cuts costs little even where it costs most a pixel
@@ -128,6 +127,6 @@ def _lines(
 
 def _quiet(cell: Cell, verdict: Tensor) -> Tensor:
     """Blocks without candidates, but for those beside a block in which f is continuous or noise: that goes on into them."""
-    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    size = shape_of(cell)
     other = (verdict == Verdict.CONTINUOUS) | (verdict == Verdict.NOISE)
     return (verdict == Verdict.NONE) & ~dilated(other.view(size), 1).flatten()

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.foretell import foretold
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel
+from torch_mcaa.estimators.blocks import blocks_of, by_pixel, shape_of
 from torch_mcaa.grid import Cell
 
 _SEEN, _FORETOLD, _PARTS = 48, 0.75, 2
@@ -26,7 +26,7 @@ def regular(
     of the others did. If that is few of them, only those that are foretold are worth a look: edges are followed over the other lines. Thin pieces,
     and steps of which bisection finds many parts, are not foretold and say nothing.
     """
-    size = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
+    size = shape_of(cell)
     where, beside = ([blocks_of(cell, s) for s in some] for some in (segments, others))
     right = [foretold(s, c, apart) for s, c in zip(segments, known, strict=True)]
     every, met, tried, held = (torch.zeros(size[0] * size[1], dtype=torch.float64, device=known[0].place.device) for _ in range(4))

@@ -16,12 +16,14 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.edges.pilot import Verdict
 from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Task, box3
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of
+from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of, shape_of
 from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.estimators.parts import PLAIN, Part
-from torch_mcaa.estimators.suited import Suited
+from torch_mcaa.estimators.steepness import steepness_of
+from torch_mcaa.estimators.suited import Suited, choose
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.nested import Nested
@@ -60,6 +62,25 @@ class Resolved:
         self.task, self.filter, self.bandwidth, self.wanted, self.seed = task, task.filter, bandwidth, wanted, seed
         self.reach = math.ceil(task.filter.half_width - 0.5)
         self.halo = max(self.reach, math.ceil(bandwidth.span - 0.5))
+
+    def seen(
+        self, ask: Counted, cell: Cell, values: Tensor, grid: Grid | None, verdict: Tensor, more: int
+    ) -> tuple[Tensor, list[tuple[Cell, Part]], int]:
+        """How many points a pixel a lattice needs in each block of a cell, and what `parts` gives with `more` evaluations a pixel.
+
+        values: (C, h, w), one sample a pixel, and the same with `halo` pixels around it in `grid`; without that no lattice is tried.
+        verdict: (blocks,) on what the samples show of jumps.
+        """
+        steep = steepness_of(ask, cell, values, self.seed)
+        allowed = self.wanted.allowed(steep.mean)
+        counts = self.bandwidth.points(steep.frequency, steep.std, allowed)
+        if grid is None:
+            return counts, [], 0
+        # beside an edge lines are better, that meet what the pilot missed of it
+        jumps = bool((verdict == Verdict.JUMPS).any())
+        smooth = verdict == Verdict.CONTINUOUS if jumps else verdict != Verdict.NOISE
+        chosen = choose(self.bandwidth, steep, allowed, smooth.cpu())
+        return counts, *self.parts(cell, chosen, grid, ask, more * cell.height * cell.width)
 
     def parts(
         self, cell: Cell, chosen: list[Suited | None], grid: Grid, ask: Counted, budget: int
@@ -181,8 +202,7 @@ class Resolved:
         off = (ours.to(theirs) - theirs).square().mean(2)
         small = torch.minimum(height, width) < 2 * ring + _CHECKED
         off = torch.where(small, torch.inf, off).to(value)
-        shape = -(-cell.height // BLOCK), -(-cell.width // BLOCK)
-        return by_pixel(off.unflatten(1, shape), cell)
+        return by_pixel(off.unflatten(1, shape_of(cell)), cell)
 
     def _other(self, suited: list[Suited], margin: float) -> tuple[Tensor, Tensor, Tensor]:
         """Places x, y (J,) from a corner of what is checked, and the weights (pixels, J) of its pixels: a hexagonal lattice, turned at random."""

@@ -55,7 +55,7 @@ class Shared(Estimator):
                 f"{task.filter} reaches over the whole screen, which only Shared(Lattice()) can afford; got {self.pattern}"
             )
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         return ("the weights of shared points are divided by their sum, a ratio: the bias is small beside the standard error",)
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:

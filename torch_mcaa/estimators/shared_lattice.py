@@ -71,7 +71,7 @@ class LatticeRound(Round):
         audited = audited and contrast
         # rounds are compared with one another: what one is blind to the next should see
         self.strip = Lattice().strip(
-            spp, replicate, audited, (sx, sy), lines, number % 2 == 1, sides(task.filter) if lines else None, chosen
+            spp, replicate, audited, (sx, sy), lines, number % 2 == 1, task.once(sides) if lines else None, chosen
         )
         self.contrast = contrast
         # a strip without a point to spare has no audit

@@ -88,9 +88,11 @@ class Stratified(Pixelwise):
         m = self.strata[0] * self.strata[1]
         return (1 + _PILOT) * m if self.counts == "optimal" else m + (self.kind == "balance" and self.defensive > 0)
 
-    def bias(self, task: Task) -> tuple[str, ...]:
+    def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         pooled = self.combine == "pooled" and self.counts == "optimal"
-        return super().bias(task) + (("combine='pooled': the strata's pilot chose the numbers that weigh it",) if pooled else ())
+        return super().bias(task, spp) + (
+            ("combine='pooled': the strata's pilot chose the numbers that weigh it",) if pooled else ()
+        )
 
     def check(self, task: Task) -> None:
         super().check(task)

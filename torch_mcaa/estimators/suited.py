@@ -48,7 +48,7 @@ def _spare(lattices: Sequence[Nested], tones: np.ndarray, margins: np.ndarray) -
     return (np.stack(distances(lattices, tones)) - margins[:, None]).min((0, 2))
 
 
-def suited(bandwidth: Bandwidth, steep: Steepness, allowed: Tensor, smooth: Tensor) -> list[Suited | None]:
+def choose(bandwidth: Bandwidth, steep: Steepness, allowed: Tensor, smooth: Tensor) -> list[Suited | None]:
     """For each block the smallest `Nested` lattice that errs by no more than is `allowed` (C, blocks), and tells so itself.
 
     None where f is not `smooth` (blocks,), and where it would take more than two lattices of `Bandwidth.points`, which have to agree.

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.filters import SeparableFilter
-from torch_mcaa.filters.quadrature import FEW, legendre, panels
+from torch_mcaa.filters.gauss import legendre
+from torch_mcaa.filters.quadrature import FEW, panels
 from torch_mcaa.texture import TAPS, Interpolation, Wrap, blending, origin, wrapped
 
 _NODES = 2**20

@@ -35,29 +35,9 @@ class Texels:
 
     @classmethod
     def of(cls, task: Task) -> Texels | None:
-        """That map; None where f is not a texture, or has to be sampled: under a transform that turns, shears or tilts, where a texel is
-        not finite, under a filter that does not separate or does not end, and of what has no end where too many texels are under the filter.
-        """
-        texture, filter, screen = task.integrand.function, task.filter, task.screen
-        # a subclass may have another __call__
-        if not isinstance(texture, Texture) or type(texture) is not Texture:
-            return None
-        if not isinstance(filter, SeparableFilter) or math.isinf(filter.half_width):
-            return None
-        image, axes = texture.image.detach(), texture.axes
-        if axes is None or image.device != task.device:
-            return None
-        # the sum is a cheap test that may cry wolf, on overflow
-        if not math.isfinite(image.sum().item()) and not bool(image.isfinite().all()):
-            return None
-        placed = []
-        sides = zip(axes, screen.extent[::2], screen.pixel_size, (screen.width, screen.height), image.shape[:0:-1], strict=True)
-        for (scale, shift), start, size, pixels, texels in sides:
-            axis = Axis(scale * size, scale * start + shift, pixels, texels, texture.interpolation, texture.wrap)
-            if not axis.fits(filter):
-                return None
-            placed.append(axis)
-        return cls(task, texture, (placed[0], placed[1]))
+        """That map; None where f is not a texture, or has to be sampled, as `axes_of` tells."""
+        texture, axes = task.integrand.function, task.once(axes_of)
+        return cls(task, texture, axes) if isinstance(texture, Texture) and axes is not None else None
 
     @cached_property
     def _largest(self) -> Tensor:
@@ -112,6 +92,34 @@ class Texels:
         """Columns of texels with that many numbers each, some at a time."""
         step = max(1, _BAND // max(1, numbers))
         return [slice(col, min(col + step, cols.stop)) for col in range(cols.start, cols.stop, step)]
+
+
+def axes_of(task: Task) -> tuple[Axis, Axis] | None:
+    """The axes along x and y of a texture that need not be sampled.
+
+    None for other functions, under a transform that turns, shears or tilts, where a texel is not finite, under a filter that does not
+    separate or does not end, and for what has no end where too many texels are under the filter.
+    """
+    texture, filter, screen = task.integrand.function, task.filter, task.screen
+    # a subclass may have another __call__
+    if not isinstance(texture, Texture) or type(texture) is not Texture:
+        return None
+    if not isinstance(filter, SeparableFilter) or math.isinf(filter.half_width):
+        return None
+    image, axes = texture.image.detach(), texture.axes
+    if axes is None or image.device != task.device:
+        return None
+    # the sum is a cheap test that may cry wolf, on overflow
+    if not math.isfinite(image.sum().item()) and not bool(image.isfinite().all()):
+        return None
+    placed = []
+    sides = zip(axes, screen.extent[::2], screen.pixel_size, (screen.width, screen.height), image.shape[:0:-1], strict=True)
+    for (scale, shift), start, size, pixels, texels in sides:
+        axis = Axis(scale * size, scale * start + shift, pixels, texels, texture.interpolation, texture.wrap)
+        if not axis.fits(filter):
+            return None
+        placed.append(axis)
+    return placed[0], placed[1]
 
 
 class TexelsRound(Round):

@@ -6,9 +6,10 @@ import math
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
+
+from torch_mcaa.filters.gauss import legendre
 
 
 class Filter(ABC):
@@ -45,14 +46,13 @@ class Filter(ABC):
         By Gauss-Legendre rules of 8 nodes on panels of a quarter of a pixel or less, unless the filter says otherwise.
         """
         radius = self.radius[axis]
-        nodes, weights = np.polynomial.legendre.leggauss(8)
         from_ = (dx if axis == 0 else dy).clamp(-radius, radius)
         panels = math.ceil(8 * radius)
         step, total = (radius - from_) / panels, torch.zeros(())
-        for panel in range(panels):
-            for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
-                place = from_ + step * (panel + (1 + node) / 2)
-                total = total + weight / 2 * (self(place, dy) if axis == 0 else self(dx, place))
+        nodes, weights = legendre(torch.arange(panels + 1, dtype=torch.float64), 8)
+        for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+            place = from_ + step * node
+            total = total + weight * (self(place, dy) if axis == 0 else self(dx, place))
         return step * total
 
     @abstractmethod

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters.base import Filter, SeparableFilter
-from torch_mcaa.filters.quadrature import borders, legendre, rule
+from torch_mcaa.filters.gauss import legendre
+from torch_mcaa.filters.quadrature import borders, rule
 from torch_mcaa.filters.tabulated_grid import TabulatedGrid
 
 

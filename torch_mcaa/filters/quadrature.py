@@ -1,4 +1,4 @@
-"""Gauss-Legendre rules for integrals against a profile: panels on which it is smooth."""
+"""Rules for integrals against a profile: panels on which it is smooth."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from collections.abc import Hashable
 from functools import lru_cache
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from torch_mcaa.filters.base import SeparableFilter
+from torch_mcaa.filters.gauss import legendre
 from torch_mcaa.filters.inverse import TableSampledFilter
 from torch_mcaa.filters.tabulated import TabulatedProfile
 
@@ -37,13 +37,6 @@ def borders(radius: float, kinks: Tensor, whole: int, octaves: int) -> Tensor:
     every = torch.cat([half, -half, kinks]).clamp(-radius, radius).unique()
     # a panel of rounding has no weight, but its nodes may lie outside the support
     return every[torch.cat([torch.tensor([True]), every.diff() > 1e-14 * radius])]
-
-
-def legendre(borders: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
-    """Positions and weights of the Gauss-Legendre rule of so many nodes on each panel."""
-    x, weight = (torch.from_numpy(a) for a in np.polynomial.legendre.leggauss(nodes))
-    width = borders.diff()[:, None] / 2
-    return (borders[:-1, None] + width * (1 + x)).flatten(), (width * weight).flatten()
 
 
 def rule(filter: SeparableFilter) -> tuple[Tensor, Tensor]:

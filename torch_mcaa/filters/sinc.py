@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters.base import SeparableFilter
+from torch_mcaa.filters.gauss import legendre
 
-_LEGENDRE = tuple(zip(*(a.tolist() for a in np.polynomial.legendre.leggauss(16)), strict=True))
 _LAGUERRE = tuple(zip(*(a.tolist() for a in np.polynomial.laguerre.laggauss(24)), strict=True))
 
 
@@ -29,8 +29,9 @@ def sine_integral(x: Tensor) -> Tensor:
     """
     near = x.clamp(-10, 10)
     small = torch.zeros_like(x)
-    for node, weight in _LEGENDRE:
-        small = small + near * torch.sinc(near * ((1 + node) / (2 * math.pi))) * (weight / 2)
+    nodes, weights = legendre(torch.tensor([0.0, 1.0], dtype=torch.float64), 16)
+    for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
+        small = small + near * torch.sinc(near * (node / math.pi)) * weight
     big = x.abs().clamp(10, 1e17)
     f, g = torch.zeros_like(x), torch.zeros_like(x)
     for node, weight in _LAGUERRE:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from torch_mcaa.filters.base import Filter
+from torch_mcaa.filters.gauss import legendre
 from torch_mcaa.filters.inverse import InverseTable, linear_inverse
 
 
@@ -142,11 +142,11 @@ def _mean_absolute(values: Tensor) -> Tensor:
     ]
     edges = torch.stack(breaks).sort(dim=0).values
     total = torch.zeros_like(top_left)
-    for node, weight in zip(*np.polynomial.legendre.leggauss(24), strict=True):
-        x = edges[:-1] + edges.diff(dim=0) * ((1 + float(node)) / 2)
+    for node, weight in zip(*(t.tolist() for t in legendre(torch.tensor([0.0, 1.0], dtype=torch.float64), 24)), strict=True):
+        x = edges[:-1] + edges.diff(dim=0) * node
         p, q = torch.lerp(top_left, top_right, x), torch.lerp(low_left, low_right, x)
         opposite = p * q < 0
         split = (p * p + q * q) / (2 * torch.where(opposite, p - q, 1).abs())
         height = torch.where(opposite, split, (p + q).abs() / 2)
-        total = total + (height * edges.diff(dim=0)).sum(0) * (float(weight) / 2)
+        total = total + (height * edges.diff(dim=0)).sum(0) * weight
     return total

@@ -216,36 +216,6 @@ def surrogate(function: Function, screen: Screen, elements: Elements, coefficien
         return (coefficient.to(torch.float64) * zero_with_gradient(margins(function, screen, elements))).sum()
 
 
-def boundary_term(
-    function: Function,
-    screen: Screen,
-    filter: Filter,
-    seed: int,
-    lines: int = LINES,
-    *,
-    closed: bool = False,
-    dtype: torch.dtype = torch.float32,
-    device: torch.device | None = None,
-    tally: Tally | None = None,
-) -> Tensor:
-    """(C, H, W) float64: exactly 0, with the gradient that is to be added to that of the samples.
-
-    Second derivatives through it raise McaaError.
-    """
-    cell = Cell(0, 0, screen.height, screen.width)
-    met = elements(function, screen, cell, filter, seed, lines, closed=closed, dtype=dtype, device=device, tally=tally)
-    picture = torch.zeros(len(met.jump), screen.height * screen.width, dtype=torch.float64, device=met.col.device)
-    if len(met) == 0:
-        return picture.view(-1, screen.height, screen.width)
-    with torch.enable_grad():
-        zero = zero_with_gradient(margins(function, screen, met)) * met.weight
-        rows, cols, weights = splat(met, screen, filter)
-        flat = rows * screen.width + cols
-        amount = met.jump[:, :, None] * (zero[:, None] * weights)
-        picture = picture.index_add(1, flat.flatten(), amount.flatten(1))
-    return picture.view(-1, screen.height, screen.width)
-
-
 def splat(elements: Elements, screen: Screen, filter: Filter) -> tuple[Tensor, Tensor, Tensor]:
     """(N, P) rows and columns of the pixels around each element, and w there, 0 beyond the screen."""
     reach = [int(min(r, whole) + 0.5) + 1 for r, whole in zip(filter.radius, (screen.width, screen.height), strict=True)]
