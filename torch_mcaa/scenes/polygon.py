@@ -12,12 +12,11 @@ from torch import Tensor
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters.base import Filter
 from torch_mcaa.filters.box import Box
+from torch_mcaa.filters.gauss import standard
 from torch_mcaa.filters.gaussian import Gaussian
 from torch_mcaa.scenes.base import REACH, ClosedForm, Scene
 
 _SQRT_2PI = 2.5066282746310002
-_GAUSS = np.polynomial.legendre.leggauss(64)
-_MIDPOINT = np.polynomial.legendre.leggauss(1)
 
 
 @dataclass(frozen=True)
@@ -56,10 +55,10 @@ class Polygon(Scene):
         return {Gaussian: self._gaussian, Box: self._box}
 
     def _gaussian(self, cx: Tensor, cy: Tensor, std: float) -> Tensor:
-        return self._around(cx, cy, std, REACH, torch.special.ndtr, _normal_density, _GAUSS)
+        return self._around(cx, cy, std, REACH, torch.special.ndtr, _normal_density, standard(64))
 
     def _box(self, cx: Tensor, cy: Tensor, width: float) -> Tensor:
-        return self._around(cx, cy, width, 0.5, lambda t: t + 0.5, torch.ones_like, _MIDPOINT)
+        return self._around(cx, cy, width, 0.5, lambda t: t + 0.5, torch.ones_like, standard(1))
 
     def _around(
         self,
