@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -26,8 +26,8 @@ _QUARTERED = 1 / 16
 """Px: wider segments begin with quarters."""
 _SMOOTH = 0.4
 """Px: a segment that changes over more than this is smooth, and left to the samples."""
-_ROUNDING = 1e-9
-"""Px."""
+_ROUNDING, _FLOATS = 1e-9, 2.0**-10
+"""Px; and how far float32 may put an edge, or a sample."""
 _MOST = 8
 """A segment with more pieces than this is not a few jumps: it is given up."""
 
@@ -76,6 +76,19 @@ def placed(axis: int, along: Tensor, across: Tensor) -> tuple[Tensor, Tensor]:
 def ask_on(ask: Ask, axis: int, along: Tensor, across: Tensor) -> Tensor:
     """f (C, N) at places on lines along `axis`."""
     return ask(*placed(axis, along, across))
+
+
+def sided(ask: Ask, crossings: Crossings) -> Crossings:
+    """The crossings, on that side of their lines' samples that `ask` tells, which asks f as those were asked: in float32 an edge lies elsewhere."""
+    sample = (crossings.place - crossings.phase).round() + crossings.phase
+    near = ((crossings.place - sample).abs() < _FLOATS).nonzero()[:, 0]
+    if len(near) == 0:
+        return crossings
+    some, sample = crossings.take(near), pick(sample, near)
+    value = ask_on(ask, crossings.axis, sample, some.across)
+    past = (value - some.before).abs().amax(0) > (some.after - value).abs().amax(0)
+    place = torch.where(past, torch.minimum(some.place, sample - _ROUNDING), torch.maximum(some.place, sample + _ROUNDING))
+    return replace(crossings, place=crossings.place.index_copy(0, near, place))
 
 
 def bisect(ask: Ask, segments: Segments, finest: float, seed: int) -> Crossings:

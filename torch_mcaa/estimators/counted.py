@@ -107,7 +107,11 @@ class Counted:
         """As when called, with the codes of `Task.coded` as the last channel, (C + 1, N)."""
         return self(col, row, coded=True)
 
-    def __call__(self, col: Tensor, row: Tensor, *, coded: bool = False) -> Tensor:
+    def sampled(self, col: Tensor, row: Tensor) -> Tensor:
+        """As when called, in the dtype in which a lattice asks f."""
+        return self(col, row, dtype=self.task.screen.coordinate_dtype(self.cell, self.task.dtype))
+
+    def __call__(self, col: Tensor, row: Tensor, *, coded: bool = False, dtype: torch.dtype | None = None) -> Tensor:
         """Raises Spent rather than ask more than the budget."""
         task = self.task
         if len(col) == 0:
@@ -119,7 +123,7 @@ class Counted:
             # no pixel that is corrected reaches beyond the screen, so what is told there does not matter
             x, y = col.clamp(0, task.screen.width * (1 - 2.0**-50)), row.clamp(0, task.screen.height * (1 - 2.0**-50))
         parts = [
-            torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r), task.coded if coded else task.integrand))
+            torch.stack(self._asked(task.screen.x_of(c), task.screen.y_of(r), task.coded if coded else task.integrand, dtype))
             for c, r in zip(x.split(block), y.split(block), strict=True)
         ]
         values = parts[0] if len(parts) == 1 else torch.cat(parts, 1)
@@ -180,9 +184,11 @@ class Counted:
         flat = (i * cell.width + j)[(i >= 0) & (i < cell.height) & (j >= 0) & (j < cell.width)]
         plane.view(-1).index_add_(0, flat, torch.ones_like(flat))
 
-    def _asked(self, x: Tensor, y: Tensor, integrand: Callable[[Tensor, Tensor], list[Tensor]]) -> list[Tensor]:
+    def _asked(
+        self, x: Tensor, y: Tensor, integrand: Callable[[Tensor, Tensor], list[Tensor]], dtype: torch.dtype | None
+    ) -> list[Tensor]:
         """f at float64 coordinates; an f that takes the picture's dtype alone, such as a network, gets that from then on."""
-        dtype = self.precision.dtype
+        dtype = dtype or self.precision.dtype
         try:
             return integrand(x.to(dtype), y.to(dtype))
         except McaaError as error:

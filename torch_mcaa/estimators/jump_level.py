@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.bisect import Crossings, bisect_all, joined, placed
+from torch_mcaa.edges.bisect import Crossings, bisect_all, joined, placed, sided
 from torch_mcaa.edges.candidates import Finder, Segments, without
 from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.chains import between, continued
@@ -196,6 +196,9 @@ class Leveller:
         ]
         if self.ask.task.followed is None:
             every = [self._continued(c, lines, here, seed, most) for c, here in zip(every, used, strict=True)]
+        if lines.number == 0 and self.ask.task.dtype != torch.float64:
+            # that lattice was not asked as jumps are
+            every = [self._sided(c) for c in every]
         if pixels is None or plain is None:
             pixels = self.pixels(self.reached([(c.place, c.across) for c in every]) & wanted)
             plain = self.plain[:, pixels.rows, pixels.cols]
@@ -248,6 +251,12 @@ class Leveller:
         met[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
         self.lost |= by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
         return without
+
+    def _sided(self, crossings: Crossings) -> Crossings:
+        try:
+            return sided(self.ask.sampled, crossings)
+        except Spent:
+            return crossings
 
     def _continued(self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float) -> Crossings:
         """The crossings with those of their edges that do not stand out, as far as a share of what is left pays for them."""
