@@ -13,7 +13,7 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
 from torch_mcaa.edges.candidates import brackets
 from torch_mcaa.edges.lines import Ask, Lines
-from torch_mcaa.edges.pieces import SHORT, Known, Numbered, Pieces, pieces_of
+from torch_mcaa.edges.pieces import SHORT, Known, Numbered, Pieces, pieces_of, place_of
 from torch_mcaa.edges.walk import STEEPEST, Walk
 
 _PROBES, _PROBES_APART = 7, 0.2
@@ -81,6 +81,17 @@ def unfollowed(crossings: Crossings, lines: Lines, foretold: bool = False) -> tu
     known = int((thin if foretold else hit).count_nonzero())
     cost = _LINE * max(0.0, float((1 / pieces.width[hit].clamp_min(_THINNEST)).sum()) - known)
     return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit].flatten()), cost
+
+
+def beside(crossings: Crossings, others: Crossings, grid: Numbered) -> Tensor:
+    """bool (N,): which crossings lie on an edge that `others`, on lines along the other axis, have on the line next to them.
+
+    An edge that is followed along those is no more than half a distance of lines times `STEEPEST` off on the nearest one.
+    """
+    places = place_of(grid.number(others.across), others.place).sort().values
+    line, reach = grid.number(crossings.place), STEEPEST / (2 * grid.count)
+    last, first = (torch.searchsorted(places, place_of(line, crossings.across + end), right=end > 0) for end in (reach, -reach))
+    return last > first
 
 
 def _held(pieces: Pieces, grid: Numbered) -> Tensor:

@@ -120,9 +120,15 @@ class Corrector:
         unknown = _of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
         if not bool(known.any()):
             return unknown
+        lost = self.work.lost
         try:
             second = self.work.shift(self.base.count, 1, first.pixels.plane(known), first)
         except Spent:
+            return unknown
+        # a shift that lost thin pieces tells nothing of one that has them
+        told = ~self.work.lost | lost
+        known, checked = known & told[first.pixels.rows, first.pixels.cols], checked & told
+        if not bool(known.any()):
             return unknown
         first = replace(first, core=known)
         value, variance = _merged(first, second)

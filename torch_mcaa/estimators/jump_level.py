@@ -17,8 +17,9 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.foretell import narrowed_all
 from torch_mcaa.edges.lines import Lines, norm, scattered, summed
+from torch_mcaa.edges.pieces import Numbered
 from torch_mcaa.edges.pixels import Pixels
-from torch_mcaa.edges.thin import complete, thin_pieces, unfollowed
+from torch_mcaa.edges.thin import beside, complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.blocks import BLOCK, by_pixel, told
@@ -191,9 +192,11 @@ class Leveller:
         most, before = _FIRST if known is None else 1.0, self.ask.left
         bisected = self._bisected(taken, lines, known, seed)
         walk = _WALK * (before - self.ask.left)
-        every = [
-            self._completed(c, lines, here, seed, most, walk, known is not None) for c, here in zip(bisected, used, strict=True)
-        ]
+        completed = [self._completed(c, lines, u, seed, most, walk, known is not None) for c, u in zip(bisected, used, strict=True)]
+        every = [crossings for crossings, _ in completed]
+        for (_, hit), others in zip(completed, every[::-1], strict=True):
+            # what the lines of one axis cannot follow those of the other may have
+            self._lose(hit.take(~beside(hit, others, Numbered(lines, others.axis))))
         if self.ask.task.followed is None:
             every = [self._continued(c, lines, here, seed, most) for c, here in zip(every, used, strict=True)]
         if lines.number == 0 and self.ask.task.dtype != torch.float64:
@@ -228,10 +231,12 @@ class Leveller:
 
     def _completed(
         self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float, walk: float, foretold: bool
-    ) -> Crossings:
-        """The crossings with thin pieces followed, or left to sampling where that takes more than a share of what is left, or goes astray."""
+    ) -> tuple[Crossings, Crossings]:
+        """The crossings with thin pieces followed, and none; or, where that takes more than a share of what is left, or goes astray, those
+        without the pieces that samples hit, and those.
+        """
         if not thin_pieces(crossings, lines):
-            return crossings
+            return crossings, crossings.take(slice(0))
         without, hit, cost = unfollowed(crossings, lines, foretold)
         if cost <= share * self.ask.left:
             reach, before = self.window.reach + 1, self.ask.left
@@ -242,15 +247,18 @@ class Leveller:
                 with self.ask.keeping(1 - min(share, limit)):
                     crossings = complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
                 self.took[crossings.axis] = before - self.ask.left
-                return crossings
+                return crossings, crossings.take(slice(0))
             except Spent:
                 pass
+        return without, hit
+
+    def _lose(self, hit: Crossings) -> None:
+        """Leave the blocks with crossings to sampling."""
         x, y = placed(hit.axis, hit.place, hit.across)
         row, col = y.floor().long() - self.cell.row, x.floor().long() - self.cell.col
         met = torch.zeros_like(self.lost)
         met[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
-        self.lost |= by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
-        return without
+        self.lost = self.lost | by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
 
     def _sided(self, crossings: Crossings) -> Crossings:
         try:
@@ -292,7 +300,7 @@ class Leveller:
         others = [s.take(~o) for s, o in zip(segments, odd, strict=True)]
         first = bisect_all(self.ask, others, self.finest, seed)
         even, lost = regular(self.cell, [s.take(o) for s, o in zip(segments, odd, strict=True)], others, first, apart)
-        self.lost |= lost
+        self.lost = self.lost | lost
         rest = narrowed_all(self.ask, even, first, apart, seed)
         second = bisect_all(self.ask, rest, self.finest, seed)
         return [joined([a, b]) for a, b in zip(first, second, strict=True)]
