@@ -14,7 +14,7 @@ from torch_mcaa.edges.bisect import Crossings, bisect, joined
 from torch_mcaa.edges.candidates import candidates
 from torch_mcaa.edges.lines import Samples
 from torch_mcaa.edges.pieces import SHORT, Known, Numbered, pieces_of
-from torch_mcaa.edges.thin import complete, unfollowed
+from torch_mcaa.edges.thin import beside, complete, unfollowed
 
 SIZE, AROUND = 24, 4
 Function = Callable[[Tensor, Tensor], Tensor]
@@ -344,3 +344,17 @@ def test_fewer_than_two_crossings_are_returned_as_they_are() -> None:
     one = by_hand([1.0], [0, 1])
     assert complete(ask, one, samples, wanted(), (0, 0), FINEST, 1) is one
     assert ask.count == 0
+
+
+def test_what_one_axis_loses_the_other_may_have() -> None:
+    """Hits of a stripe on vertical lines: beside the stripe's crossings on horizontal lines all, beside those of another 0.6 px off none."""
+    samples, one = sampled(lambda x, y: x, 9, SIZE, SIZE), torch.ones(1, 16 * 9, dtype=torch.float64)
+    grid = Numbered(samples, 0)
+    lines = all_lines(samples, 0)
+    lines = lines[(lines > AROUND) & (lines < SIZE - AROUND)]
+    columns = torch.linspace(6, 10, len(lines), dtype=torch.float64)
+    hit = crossings(1, columns, (columns - 4.0) / 0.4 + 0.01, one, samples)
+    for off, expected in ((0.0, True), (0.6, False)):
+        other = crossings(0, lines, 4.0 + 0.4 * lines + off, one, samples)
+        assert bool((beside(hit, other, grid) == expected).all())
+    assert not bool(beside(hit, crossings(0, lines[:0], lines[:0], one[:, :0], samples), grid).any())
