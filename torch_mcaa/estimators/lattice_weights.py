@@ -109,7 +109,8 @@ class LatticeWeights:
         response = torch.where(norm == 0, 0, response / norm)
         norm = norm.flatten(0, 1)[: cell.height]
         if inside is not None:
-            norm = torch.where(inside == 0, 1, norm / inside.to(norm.device))
+            inside = inside.to(norm.device)
+            norm = torch.where(inside == 0, 1, norm / inside)
         return weight, signs, response, norm
 
     def _response(self, weight: Tensor, signs: Tensor, taps: list[Tensor]) -> Tensor:
