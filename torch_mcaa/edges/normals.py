@@ -8,12 +8,11 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect
 from torch_mcaa.edges.candidates import brackets
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.edges.pieces import SAME
 
 _BESIDE, REACH = 1 / 16, 3.0
 """Px: how far off the other line is; and how far along it the edge may have gone, in parts of that."""
 _FINEST = 2.0**-11
-_SAME = 0.35
-"""A colour is that of an edge's side within this share of the jump."""
 
 
 def slopes(ask: Ask, jumps: Crossings, seed: int) -> tuple[Tensor, Tensor]:
@@ -37,6 +36,7 @@ def _alone(found: Crossings, jumps: Crossings) -> Tensor:
     count = torch.bincount(found.segment, minlength=len(jumps))
     index = torch.full_like(count, -1)
     index[found.segment] = torch.arange(len(found), device=count.device)
-    off = (found.jump - jumps.jump[:, found.segment]).abs().amax(0) > _SAME * jumps.jump[:, found.segment].abs().amax(0)
+    jump = jumps.jump[:, found.segment]
+    off = (found.jump - jump).abs().amax(0) > SAME * jump.abs().amax(0)
     count[found.segment[off]] = 0
     return torch.where(count == 1, index, -1)

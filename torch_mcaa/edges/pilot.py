@@ -12,7 +12,6 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
-from torch_mcaa.edges.picking import numbers
 
 _PILOT = 0x91107
 _FINEST = 2.0**-8
@@ -90,15 +89,17 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     sharp: tuple[tuple[Crossings, Tensor], ...] = ()
     if any(len(look.where) for look in looks):
         bisected = bisect_all(ask, [look.some for look in looks], _FINEST, seed)
-        sharp = tuple(look.sharp_ones(crossings) for look, crossings in zip(looks, bisected, strict=True))
+        edges = [look.sharp(crossings) for look, crossings in zip(looks, bisected, strict=True)]
+        sharp = tuple((clear, look.where[clear.segment]) for look, clear in zip(looks, edges, strict=True))
         jumps = [look.jumped(crossings, parts) for look, crossings in zip(looks, bisected, strict=True)]
         asked = [look.asked(crossings, seed) for look, crossings in zip(looks, bisected, strict=True)]
         x, y = zip(*(placed(look.some.axis, *places) for look, places in zip(looks, asked, strict=True)), strict=True)
         values = ask(torch.cat(x), torch.cat(y)).split([4 * len(look.where) for look in looks], 1)
-        for look, crossings, has, four in zip(looks, bisected, jumps, values, strict=True):
+        for look, crossings, clear, has, four in zip(looks, bisected, edges, jumps, values, strict=True):
             value, next_, one, other = four.unflatten(1, (4, -1)).unbind(1)
             where = look.where
-            edge = look.sharp(crossings)
+            edge = torch.zeros_like(look.some.single)
+            edge[clear.segment] = True
             tested += torch.bincount(where[edge], minlength=parts)
             shown, held = (torch.maximum(*pair) for pair in zip((shown, held), look.held(crossings, parts), strict=True))
             bent = look.bent(one, other)
@@ -176,16 +177,9 @@ class _Look:
         whole = ~self.some.single
         return torch.bincount(self.where[whole], minlength=parts), torch.bincount(self.where[whole & has], minlength=parts)
 
-    def sharp_ones(self, crossings: Crossings) -> tuple[Crossings, Tensor]:
-        """The jumps of `sharp` segments, and the part of each."""
-        some = numbers(self._steep(crossings) & ~self.some.single[crossings.segment])
-        return crossings.take(some), self.where[crossings.segment[some]]
-
-    def sharp(self, crossings: Crossings) -> Tensor:
-        """Which segments, but for those of thin pieces, hold one jump of over half their change."""
-        has = torch.zeros_like(self.some.single)
-        has[crossings.segment[self._steep(crossings)]] = True
-        return has & ~self.some.single
+    def sharp(self, crossings: Crossings) -> Crossings:
+        """The jumps of over half their segment's change, but for those of thin pieces."""
+        return crossings.take(self._steep(crossings) & ~self.some.single[crossings.segment])
 
     def bent(self, one: Tensor, other: Tensor) -> Tensor:
         """1 or -1 where two opposite values (C, S) have more or less than the sum of those at the segment's ends, else 0.
