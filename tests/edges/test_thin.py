@@ -17,6 +17,7 @@ from torch_mcaa.edges.pieces import SHORT, Known, Numbered, pieces_of
 from torch_mcaa.edges.thin import beside, complete, unfollowed
 
 SIZE, AROUND = 24, 4
+EVERYWHERE = torch.ones(SIZE, SIZE, dtype=torch.bool)
 Function = Callable[[Tensor, Tensor], Tensor]
 
 
@@ -231,7 +232,7 @@ def test_unfollowed_drops_the_pieces_that_samples_hit_and_no_others() -> None:
             crossings(0, lines, first + 1.8, 3 * one, samples),
         ]
     )
-    left, met, cost = unfollowed(some, samples)
+    left, met, cost = unfollowed(some, samples, EVERYWHERE, (0, 0))
     grid = Numbered(samples, 0)
     phase = grid.phase(grid.number(lines))
     hit = torch.remainder(phase - first, 1) < 0.1
@@ -240,7 +241,7 @@ def test_unfollowed_drops_the_pieces_that_samples_hit_and_no_others() -> None:
     assert torch.equal(torch.sort(left.place).values, torch.sort(expected).values)
     assert len(left) + len(met) == len(some) and len(met) == 2 * int(hit.sum())
     assert cost == pytest.approx(16 * (1 / 0.1 - 1) * int(hit.sum()), rel=1e-9)
-    assert unfollowed(some, samples, True)[2] == pytest.approx(16 * max(0, int(hit.sum()) / 0.1 - len(lines)), rel=1e-9)
+    assert unfollowed(some, samples, EVERYWHERE, (0, 0), True)[2] == pytest.approx(16 * max(0, int(hit.sum()) / 0.1 - len(lines)), rel=1e-9)
 
 
 def test_unfollowed_keeps_what_is_wider_than_the_samples_distance() -> None:
@@ -253,7 +254,7 @@ def test_unfollowed_keeps_what_is_wider_than_the_samples_distance() -> None:
             crossings(0, lines, 9.04 + 0.31 * lines, -one, samples, before=one),
         ]
     )
-    left, met, cost = unfollowed(some, samples)
+    left, met, cost = unfollowed(some, samples, EVERYWHERE, (0, 0))
     assert len(left) == len(some) and len(met) == 0 and cost == 0
 
 

@@ -13,6 +13,8 @@ from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
 from torch_mcaa.edges.picking import numbers, pick
 
+BRACKET = 2.0**-7
+"""Px: what is wider is no bracket of a jump, but a part of a steep step."""
 _PLACE = 0xB15EC
 _LEAF = 1 / 16
 """Px: a part no longer followed is a step of its own where it is no wider; wider parts are followed to there while they change at all."""

@@ -8,15 +8,13 @@ from collections.abc import Iterator
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings, placed
+from torch_mcaa.edges.bisect import BRACKET, Crossings, placed
 from torch_mcaa.edges.missed import missed
 from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import Filter, SeparableFilter
 
 _AT_ONCE = 1 << 11
-_BRACKET = 2.0**-7
-"""Px: what is wider is no bracket of a jump, but a part of a steep step."""
 
 
 class Window:
@@ -60,7 +58,7 @@ class Window:
             size = part.jump.abs().amax(0).to(torch.float64)
             seen[0].index_add_(0, index, (size[:, None, None] * doubt).abs_().view(-1))
             # a part of a continuous step changes all over, and has its middle near its own
-            width = torch.where(part.width > _BRACKET, part.width / 3, part.width)
+            width = torch.where(part.width > BRACKET, part.width / 3, part.width)
             doubt *= (width / (math.sqrt(12) * norm))[:, None, None]
             for channel, jump in enumerate(part.jump.to(torch.float64)):
                 total[channel].index_add_(0, index, (jump[:, None, None] * weight).view(-1))

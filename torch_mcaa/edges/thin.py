@@ -10,10 +10,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
+from torch_mcaa.edges.bisect import BRACKET, Crossings, ask_on, bisect, joined
 from torch_mcaa.edges.candidates import brackets
 from torch_mcaa.edges.lines import Ask, Lines
-from torch_mcaa.edges.pieces import SHORT, Known, Numbered, Pieces, pieces_of, place_of
+from torch_mcaa.edges.pieces import SHORT, Known, Numbered, Pieces, inside, pieces_of, place_of
 from torch_mcaa.edges.walk import STEEPEST, Walk
 
 _PROBES, _PROBES_APART = 7, 0.2
@@ -39,7 +39,7 @@ def complete(
     if len(crossings) < 2:
         return crossings
     grid = Numbered(lines, crossings.axis)
-    crossings = _opened(ask, crossings, grid, finest, seed)
+    crossings = _opened(ask, _sharpened(ask, crossings, grid, finest, seed), grid, finest, seed)
     pieces, ends = pieces_of(crossings, grid)
     known = Known(pieces)
     start = pieces.width < SHORT
@@ -61,6 +61,10 @@ def complete(
             moved = work.follow(pieces.take(where), direction, other)
             unmet[where[moved]] = False
     drop = _held(pieces, grid) & lonely & unmet & (pieces.width < 1) & ~work.reached_mask(pieces)
+    # what lies between two pieces close by has their ends
+    firm = torch.zeros(len(crossings), dtype=torch.bool, device=drop.device)
+    firm[ends[start & ~drop].flatten()] = True
+    drop &= ~firm[ends].any(1)
     return work.with_found(crossings.take(_without(len(crossings), ends[drop])))
 
 
@@ -69,8 +73,11 @@ def thin_pieces(crossings: Crossings, lines: Lines) -> bool:
     return bool((pieces_of(crossings, Numbered(lines, crossings.axis))[0].width < SHORT).any())
 
 
-def unfollowed(crossings: Crossings, lines: Lines, foretold: bool = False) -> tuple[Crossings, Crossings, float]:
-    """The crossings without those of the thin pieces that samples have hit, which are then sampled; those; and what following them would take.
+def unfollowed(
+    crossings: Crossings, lines: Lines, wanted: Tensor, origin: tuple[int, int], foretold: bool = False
+) -> tuple[Crossings, Crossings, float]:
+    """The crossings without those of the thin pieces that samples have hit, which are then sampled; of those the ones in pixels that are
+    `wanted`, as in `complete`; and what following these would take.
 
     Samples hit a piece of width d with probability d. Of those that are `foretold` most have been found already, and take nothing.
     """
@@ -78,9 +85,10 @@ def unfollowed(crossings: Crossings, lines: Lines, foretold: bool = False) -> tu
     pieces, ends = pieces_of(crossings, grid)
     thin = pieces.width < 1
     hit = _held(pieces, grid) & thin
-    known = int((thin if foretold else hit).count_nonzero())
-    cost = _LINE * max(0.0, float((1 / pieces.width[hit].clamp_min(_THINNEST)).sum()) - known)
-    return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit].flatten()), cost
+    within = inside(wanted, origin, crossings.axis, (pieces.first + pieces.second) / 2, grid.across(pieces.line))
+    known = int(((thin if foretold else hit) & within).count_nonzero())
+    cost = _LINE * max(0.0, float((1 / pieces.width[hit & within].clamp_min(_THINNEST)).sum()) - known)
+    return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit & within].flatten()), cost
 
 
 def beside(crossings: Crossings, others: Crossings, grid: Numbered) -> Tensor:
@@ -105,6 +113,20 @@ def _without(count: int, ends: Tensor) -> Tensor:
     kept = torch.ones(count, dtype=torch.bool, device=ends.device)
     kept[ends.flatten()] = False
     return kept.nonzero()[:, 0]
+
+
+def _sharpened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed: int) -> Crossings:
+    """With the ends of short pieces known as exactly as their slopes, over a part of their width, ask for."""
+    pieces, ends = pieces_of(crossings, grid)
+    blunt = torch.zeros(len(crossings), dtype=torch.bool, device=crossings.place.device)
+    blunt[ends[pieces.width < SHORT]] = True
+    blunt &= (crossings.width > 2 * finest) & (crossings.width <= BRACKET)
+    if not bool(blunt.any()):
+        return crossings
+    some = crossings.take(blunt.nonzero()[:, 0])
+    low, high, line = some.place - some.width / 2, some.place + some.width / 2, grid.number(some.across)
+    segments = brackets(some.axis, some.across, low, high, some.before, some.after, some.phase, line, kind=2)
+    return joined([crossings.take((~blunt).nonzero()[:, 0]), bisect(ask, segments, finest, seed)])
 
 
 def _opened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed: int) -> Crossings:

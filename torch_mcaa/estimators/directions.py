@@ -57,8 +57,10 @@ def faced(ask: Counted, judged: Judged, wanted: Tensor, edges: Tensor, seed: int
     """
     faces, blocks = torch.zeros_like(edges), len(edges)
     met = torch.zeros(blocks, dtype=torch.float64)
-    for (jumps, part), number in zip(judged.sharp, judged.crossings, strict=True):
-        here = numbers(wanted.to(part.device)[part])
+    chosen = [numbers(wanted.to(part.device)[part]) for _, part in judged.sharp]
+    if not any(len(here) for here in chosen):
+        return edges
+    for (jumps, part), here, number in zip(judged.sharp, chosen, judged.crossings, strict=True):
         try:
             index, slope = slopes(ask, jumps.take(here), seed)
         except Spent:

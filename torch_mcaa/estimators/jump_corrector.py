@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,9 +14,11 @@ from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, shape_of, sizes_of
+from torch_mcaa.estimators.corrected import Corrected, beyond, merged
 from torch_mcaa.estimators.counted import Counted, Spent
 from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
 from torch_mcaa.estimators.sides import sides
+from torch_mcaa.estimators.sparser import AROUND, sparser
 
 JUDGED = 24
 """Candidates of a block that it is judged by."""
@@ -33,20 +36,14 @@ _UNCHECKED = 4.0
 """What the crossings of a block may take that no second shift checks, in parts of what its lattice does."""
 
 
-@dataclass(frozen=True)
-class Corrected:
-    """Of one cell, in the pixels (rows, cols) whose jumps were corrected, (P,) or (C, P).
+class _Twice(NamedTuple):
+    """The first of two shifts, what both give in its pixels, those (h, w) that the second has told of, and how many segments there were."""
 
-    Attributes:
-        value, variance: float64; the variance NaN where a second shift could not be paid for, which would tell it.
-        fine: bool, those corrected by the finer lattice.
-    """
-
-    rows: Tensor
-    cols: Tensor
+    level: Level
     value: Tensor
     variance: Tensor
-    fine: Tensor
+    checked: Tensor
+    segments: int
 
 
 class Corrector:
@@ -81,12 +78,23 @@ class Corrector:
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks, self.sizes = shape_of(ask.cell), sizes_of(ask.cell).to(allowed.device)
         self.most_steps = steps
+        # where there are pieces that had to be left to sampling, and what it would have taken not to
+        self.thin = torch.zeros_like(allowed), 0.0
 
     def run(self, finder: Finder) -> Corrected | None:
         """Judge the blocks, and correct those that jump as far as the evaluations go; None where nothing is corrected.
 
         finder: has seen the samples.
         """
+        found = self._twice(finder)
+        again = sparser(self.work, self.base.count, *self.thin)
+        if found is None:
+            return again
+        result = self._refined(*found) if isinstance(found, _Twice) else found
+        return result if again is None else result.beside(again)
+
+    def _twice(self, finder: Finder) -> _Twice | Corrected | None:
+        """Two shifts of the lattice, or what is corrected by one that there is no second one for; None where nothing is."""
         found = finder.found()
         try:
             with self.ask.keeping(KEPT):
@@ -113,11 +121,12 @@ class Corrector:
             first = self.work.first(self.base, found, axes, wanted)
         except Spent:
             return None
+        self.thin = self.allowed & self.work.lost & dilated(self.work.met, AROUND), self.work.unpaid
         segments = sum(len(s) for s in found)
         # as large as all that is to come
         del found, part, followed
         first, known, checked = self._afforded(first, self._by_block((self.ask.points - before).to(torch.float64)))
-        unknown = _of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
+        unknown = Corrected.of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
         if not bool(known.any()):
             return unknown
         lost = self.work.lost
@@ -131,10 +140,8 @@ class Corrector:
         if not bool(known.any()):
             return unknown
         first = replace(first, core=known)
-        value, variance = _merged(first, second)
-        result = self._refined(self._kept(first, second, variance), value, variance, segments)
-        result.variance[:, ~checked[result.rows, result.cols]] = torch.nan
-        return result
+        value, variance = merged(first, second)
+        return _Twice(self._kept(first, second, variance), value, variance, checked, segments)
 
     def _afforded(self, first: Level, spent: Tensor) -> tuple[Level, Tensor, Tensor]:
         """The level without the dear blocks that cannot be checked; of those that can, which took least, the core (P,) and all (h, w).
@@ -182,7 +189,7 @@ class Corrector:
         verdict[self.jumping] = Verdict.JUMPS
         return verdict
 
-    def _refined(self, coarse: Level, value: Tensor, variance: Tensor, segments: int) -> Corrected:
+    def _refined(self, coarse: Level, value: Tensor, variance: Tensor, checked: Tensor, segments: int) -> Corrected:
         """With two shifts of a finer lattice where the standard error is largest."""
         fine = torch.zeros_like(coarse.near)
         if self.enough is None:
@@ -213,13 +220,15 @@ class Corrector:
             except Spent:
                 break
             core = replace(third, core=third.core & fourth.core)
-            finer_value, finer_variance = (coarse.pixels.of(core.pixels, one, 0.0) for one in _merged(core, fourth))
+            finer_value, finer_variance = (coarse.pixels.of(core.pixels, one, 0.0) for one in merged(core, fourth))
             # thin pieces with tips may have been lost on one of the finer lattices
             better = coarse.pixels.of(core.pixels, core.core, False) & (finer_variance <= variance).all(0)
             fine |= better
             value = torch.where(better, finer_value, value)
-            variance = _beyond(coarse, torch.where(better, finer_variance, variance), fine)
-        return _of(coarse, value, variance, fine)
+            variance = beyond(coarse, torch.where(better, finer_variance, variance), fine)
+        result = Corrected.of(coarse, value, variance, fine)
+        result.variance[:, ~checked[result.rows, result.cols]] = torch.nan
+        return result
 
     def _planned(self, found: list[Segments], wanted: Tensor) -> tuple[Axes, Tensor]:
         """How exactly to bisect, and which blocks, so that two shifts can be paid for: the axes, and the pixels still wanted."""
@@ -251,32 +260,3 @@ class Corrector:
 def _finest(steps: int) -> float:
     """Px; the quarters of a segment are a little larger or smaller than one."""
     return 1.1 * 2.0**-steps
-
-
-def _of(level: Level, value: Tensor, variance: Tensor, fine: Tensor) -> Corrected:
-    """What a level has corrected."""
-    near, pixels = level.near, level.pixels
-    return Corrected(pixels.rows[near], pixels.cols[near], value[:, near], variance[:, near], fine[near])
-
-
-def _merged(first: Level, second: Level) -> tuple[Tensor, Tensor]:
-    """The mean of two shifts in the first's core, and its variance, pooled over neighbours there and with that of the brackets as a floor.
-
-    Elsewhere the first shift's, and the variance of the core around.
-    """
-    core, pixels = first.core, first.pixels
-    other, doubt = (pixels.of(second.pixels, values, 0.0) for values in (second.value, second.spread))
-    squared = torch.where(core, (first.value - other).square() / 4, 0)
-    pooled = pixels.summed(squared) / pixels.summed(core.to(torch.float64)).clamp_min(1e-9)
-    value = torch.where(core, (first.value + other) / 2, first.value)
-    brackets = torch.where(core, (first.spread + doubt) / 4, first.spread)
-    return value, _beyond(first, torch.maximum(pooled, squared) + brackets, torch.zeros_like(core))
-
-
-def _beyond(level: Level, variance: Tensor, known: Tensor) -> Tensor:
-    """The variance, that of the core around in the pixels that are neither in it nor `known`: one shift does not tell theirs."""
-    pixels, weight = level.pixels, level.core.to(torch.float64)
-    around = variance * weight
-    for _ in range(2):
-        around, weight = pixels.summed(around), pixels.summed(weight)
-    return torch.where(level.core | known, variance, around / weight.clamp_min(1e-9) + level.spread)

@@ -92,13 +92,15 @@ class Leveller:
     Attributes:
         plain: (C, h, w) the weighted means of a lattice that was sampled everywhere.
         finest: px, how narrow a bracket has to be.
-        lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling.
+        lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling; met: bool (h, w), where samples hit them.
+        unpaid: what to follow them would have taken where there were too few evaluations for it.
     """
 
     def __init__(self, ask: Counted, seed: int, plain: Tensor) -> None:
         self.ask, self.cell, self.seed, self.plain = ask, ask.cell, seed, plain
         self.window = Window(ask.task.filter, plain.device)
-        self.finest, self.lost = 0.0, torch.zeros_like(plain[0], dtype=torch.bool)
+        self.finest, self.unpaid = 0.0, 0.0
+        self.lost, self.met = (torch.zeros_like(plain[0], dtype=torch.bool) for _ in range(2))
         self.smooth = self.deciding = self.plain.new_zeros(0)
         # what following thin pieces took along either axis on the last shift: chance decides how many of them samples hit
         self.took = [0, 0]
@@ -237,12 +239,12 @@ class Leveller:
         """
         if not thin_pieces(crossings, lines):
             return crossings, crossings.take(slice(0))
-        without, hit, cost = unfollowed(crossings, lines, foretold)
+        reach = self.window.reach + 1
+        wanted, origin = _widened(used & ~self.lost, reach), (self.cell.row - reach, self.cell.col - reach)
+        without, hit, cost = unfollowed(crossings, lines, wanted, origin, foretold)
         if cost <= share * self.ask.left:
-            reach, before = self.window.reach + 1, self.ask.left
-            origin = self.cell.row - reach, self.cell.col - reach
+            before = self.ask.left
             limit = (_TIMES * max(cost, self.took[crossings.axis]) + walk) / max(1, before)
-            wanted = _widened(used & ~self.lost, reach)
             try:
                 with self.ask.keeping(1 - min(share, limit)):
                     crossings = complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
@@ -250,6 +252,8 @@ class Leveller:
                 return crossings, crossings.take(slice(0))
             except Spent:
                 pass
+        else:
+            self.unpaid += cost
         return without, hit
 
     def _lose(self, hit: Crossings) -> None:
@@ -258,6 +262,7 @@ class Leveller:
         row, col = y.floor().long() - self.cell.row, x.floor().long() - self.cell.col
         met = torch.zeros_like(self.lost)
         met[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
+        self.met = self.met | met
         self.lost = self.lost | by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
 
     def _sided(self, crossings: Crossings) -> Crossings:

@@ -45,8 +45,6 @@ _LEAST = 1e-4
 """What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
 _MARGINS = 0.75
 """What a crossing takes that margins locate, in parts of what bisection takes."""
-_MOSTLY = 0.5
-"""The share of a block's pixels that are sampled if the directions of its edges are asked for."""
 _TEXTURE = 0.01
 """The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
 
@@ -143,7 +141,7 @@ class PilotedRound(Round):
             edges = seen.edges
             if edges is not None and judged.sharp:
                 faces = self.parts.ask(cell, left)
-                plainly = tile_means((part.model == PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() > _MOSTLY
+                plainly = tile_means((part.model != PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() == 0
                 edges = faced(faces, judged, plainly, edges, self.parts.seed)
                 part.points.add_(faces.points)
                 left = faces.left
