@@ -21,8 +21,6 @@ _SIDES = 5
 """Continuous steps that a part of the screen must show along an axis to be one edge."""
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
-_ALIKE = 4
-"""Thin pieces of the mean width of all parts that are added to those of each."""
 _FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
 _CHANCE = 2
 """Candidates that may be foretold wrong beside: near few hairlines close by some are."""
@@ -215,10 +213,7 @@ class _Look:
         thin = self._steep(crossings) & self.some.single[crossings.segment]
         where = self.where[crossings.segment[thin]]
         known, total = torch.bincount(where, minlength=parts), torch.bincount(where, weights=end[thin], minlength=parts)
-        # few tell a part's width: they count beside some of the width that all parts have
-        mean = end[thin].mean() if len(where) else 0.5
-        width = 2 * (total + _ALIKE * mean) / (known + _ALIKE)
-        return self.hits / width.clamp(_THINNEST, 1)
+        return self.hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1)
 
     def surprised(self, value: Tensor) -> Tensor:
         """Where f beside a segment is not what it is at the segment's end."""
