@@ -7,6 +7,8 @@ vectorises and compiles that, and integers have the same bits on every device.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -29,7 +31,7 @@ def bits(seed: int, *keys: int | Tensor) -> Tensor:
 
     Raises McaaError for a seed or an int out of range, or a key that is not of an integer type.
     """
-    h = _hash(seed, keys)
+    h = _hash(seed, _folded(keys))
     return torch.tensor(h) if isinstance(h, int) else h.to(torch.int64) & _MASK
 
 
@@ -42,31 +44,37 @@ def uniform(seed: int, *keys: int | Tensor, dtype: torch.dtype = torch.float32) 
     """
     if dtype not in (torch.float32, torch.float64):
         raise McaaError(f"dtype must be torch.float32 or torch.float64, received {dtype}: convert after")
-    high = _tensor(_hash(seed, keys))
+    folded = _folded(keys)
+    high = _tensor(_hash(seed, folded))
     if dtype == torch.float32:
         return _logical_shift(high, 8).to(dtype).mul_(2.0**-24)
     # The low bits come from a second stream, not from `high`: else float64 would know only 2**32 values.
-    low = _tensor(_hash(seed, (_LOW, *keys)))
+    low = _tensor(_hash(seed, (*_folded((_LOW,)), *folded)))
     return _logical_shift(high, 5).to(dtype).mul_(2.0**-27).add_(_logical_shift(low, 6), alpha=2.0**-53)
 
 
-def _hash(seed: int, keys: tuple[int | Tensor, ...]) -> int | Tensor:
-    """The chain: an unsigned int while all keys were ints, an int32 tensor from the first tensor on."""
+def _hash(seed: int, folded: Sequence[int | Tensor]) -> int | Tensor:
+    """The chain over `_folded` keys: an unsigned int while all were ints, an int32 tensor from the first tensor on."""
     if not 0 <= seed < 1 << 64:
         raise McaaError(f"seed must be an int in [0, 2**64), received {seed}: reduce it modulo 2**64")
     state: int | Tensor = _mix_int(_mix_int(seed >> 32 ^ _SEED) ^ seed & _MASK)
-    for key in keys:
-        # Each key is hashed before it meets the state: a raw one would let two whole rows of pixels share
-        # their streams wherever two states differ in low bits only. They meet in a sum, since an exclusive or
-        # would make chance meetings come in pairs, (r, c) with (s, d) and (r, d) with (s, c).
-        folded = _fold(key) if isinstance(key, Tensor) else _fold_int(_checked(key))
+    for key in folded:
         if isinstance(state, int):
-            if isinstance(folded, int):
-                state = _mix_int(state + folded & _MASK)
+            if isinstance(key, int):
+                state = _mix_int(state + key & _MASK)
                 continue
-            state, folded = folded, state
-        state = _mix(state + (_signed(folded) if isinstance(folded, int) else folded))
+            state, key = key, state
+        state = _mix(state + (_signed(key) if isinstance(key, int) else key))
     return state
+
+
+def _folded(keys: tuple[int | Tensor, ...]) -> list[int | Tensor]:
+    """Each key, hashed.
+
+    A raw one would let two whole rows of pixels share their streams wherever two states differ in low bits only. They meet in a sum, since an
+    exclusive or would make chance meetings come in pairs, (r, c) with (s, d) and (r, d) with (s, c).
+    """
+    return [_fold(key) if isinstance(key, Tensor) else _fold_int(_checked(key)) for key in keys]
 
 
 def _checked(key: int) -> int:

@@ -154,7 +154,7 @@ class _Look:
         rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[where[order]]
         chosen = order[rank < most]
         some = segments.take(chosen)
-        one, two = (rng.uniform(seed, _PILOT, some.axis, key, some.stream, dtype=torch.float64) for key in (1, 2))
+        one, two = _numbers(seed, some, 1, 2)
         length = some.high - some.low
         return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, hits)
 
@@ -163,7 +163,7 @@ class _Look:
         some, sharp = self.some, self._steep(crossings)
         middle = self.place.clone()
         middle[crossings.segment[sharp]] = crossings.place[sharp]
-        turn, off = (rng.uniform(seed, _PILOT, some.axis, key, some.stream, dtype=torch.float64) for key in (3, 4))
+        turn, off = _numbers(seed, some, 3, 4)
         off, turn = _NEAR + (_OFF - _NEAR) * off, 2 * torch.pi * turn
         along, across = off * turn.cos(), off * turn.sin()
         return torch.cat([self.place, self.beside, middle + along, middle - along]), torch.cat(
@@ -225,6 +225,12 @@ class _Look:
         passed = crossings.place < self.place[crossings.segment]
         told.index_add_(1, crossings.segment[passed], crossings.jump[:, passed])
         return (value - told).abs().amax(0) > 0.35 * self.size
+
+
+def _numbers(seed: int, segments: Segments, *keys: int) -> Tensor:
+    """(K, S) uniform numbers, float64."""
+    which = torch.tensor(keys, device=segments.low.device)[:, None]
+    return rng.uniform(seed, _PILOT, segments.axis, which, segments.stream, dtype=torch.float64)
 
 
 def _steep(segments: Segments, crossings: Crossings, where: Tensor, parts: int) -> Tensor:

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.base import MANY
+from torch_mcaa.estimators.base import MANY, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in
-from torch_mcaa.estimators.parts import FEWEST_LINES, PLAIN, SAMPLED, Part, Parts
+from torch_mcaa.estimators.parts import FEWEST_LINES, FINER, LOCATED, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.grid import Cell
 
 _CLASSES = 3
 """Steps of how much f changes in a block, by which blocks are sampled together."""
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
+
+
+class Poor(NamedTuple):
+    """A rectangle that is not known well enough, how many evaluations a pixel it has had, and the spread of neighbouring samples in it."""
+
+    where: Cell
+    had: int
+    spread: float
 
 
 def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: int) -> None:
@@ -33,30 +42,37 @@ def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: in
         _add(part.cut(where.within(cell)), more, 0, count, SAMPLED if count > FEWEST_LINES else PLAIN)
 
 
-def sampled_further(
-    parts: Parts, part: Part, cell: Cell, spread: Tensor, edges: Tensor | None, left: int, most: int | None
-) -> None:
-    """Give more samples, of the `left` evaluations, to the blocks of `part` with pixels whose jumps were not located and that are not known
-    well enough; `part` is from `Parts.joined`.
+def poorest_of(part: Part, cell: Cell, spread: Tensor) -> list[Poor]:
+    """The rectangles of a cell's `part`, from `Parts.joined`, with pixels whose jumps were not located and that are not known well enough.
 
-    With what they have had, a third in equal shares and the rest by Neyman's allocation, the `spread` (blocks,) of neighbouring samples in the
-    place of the standard deviation; at most `most` a pixel on average. With lattices that suit the directions of the `edges` (blocks, DIRECTIONS).
+    spread: (blocks,), that of neighbouring samples.
     """
     value, variance, density = part.value, part.variance, torch.as_tensor(part.density)
     finite = value.nan_to_num(0.0, 0.0, 0.0)
     span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
     known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
-    poor = (variance.sqrt() > known).any(0) & (part.model == PLAIN)
+    # beside pixels whose jumps were located the variance is pooled with that of samples which these do not need
+    plain = (part.model == PLAIN) & ~dilated((part.model == LOCATED) | (part.model == FINER), 1)
+    poor = (variance.sqrt() > known).any(0) & plain
     some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten().cpu() > 0
     # what a block has had, and, in steps of a factor of 4, how much f changes in it
     steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
     labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten().cpu()) * some).long().tolist()
-    # rectangle, what it has had a pixel, its spread
-    poorest = [
-        (where, (labels[inside[0]] - 1) // (1 + _CLASSES), float(spread[inside].mean()))
+    return [
+        Poor(where, (labels[inside[0]] - 1) // (1 + _CLASSES), float(spread[inside].mean()))
         for where, inside in cell.rectangles(BLOCK, labels)
         if labels[inside[0]]
     ]
+
+
+def sampled_further(
+    parts: Parts, part: Part, cell: Cell, poorest: list[Poor], edges: Tensor | None, left: int, most: int | None
+) -> None:
+    """Give more samples, of the `left` evaluations, to the `poorest` of a `part` of the cell.
+
+    With what they have had, a third in equal shares and the rest by Neyman's allocation, the spread of neighbouring samples in the
+    place of the standard deviation; at most `most` a pixel on average. With lattices that suit the directions of the `edges` (blocks, DIRECTIONS).
+    """
     for where, had, count in _counts(poorest, left, most, parts.fewest):
         suited = None if edges is None else edges[blocks_in(cell, where)].sum(0).numpy()
         more = parts.sampled(where, count, left, suited if suited is not None and 0 < suited.sum() < math.inf else None)
@@ -83,8 +99,8 @@ def _add(here: Part, more: Part, had: int, count: float, model: int) -> None:
         here.heavy.logical_or_(more.heavy & free)
 
 
-def _counts(parts: list[tuple[Cell, int, float]], left: int, most: int | None, fewest: int) -> list[tuple[Cell, int, float]]:
-    """Of parts (cell, what it has had a pixel, spread) those that are given more, and how many evaluations a pixel: `fewest` or more."""
+def _counts(parts: list[Poor], left: int, most: int | None, fewest: int) -> list[tuple[Cell, int, float]]:
+    """Of parts those that are given more, what they have had, and how many more evaluations a pixel: `fewest` or more."""
     while parts:
         pixels = [where.height * where.width for where, _, _ in parts]
         total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))

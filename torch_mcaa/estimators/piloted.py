@@ -19,7 +19,7 @@ from torch_mcaa.estimators.base import Estimate, Round, Task, dilated
 from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel, shape_of
 from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.directions import directions, faced
-from torch_mcaa.estimators.further import sampled_first, sampled_further
+from torch_mcaa.estimators.further import poorest_of, sampled_first, sampled_further
 from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.estimators.plans import plans_of
@@ -54,7 +54,7 @@ class _Seen(NamedTuple):
 
     Attributes:
         jumping: which are known to jump, decisions aside. texture: whether f has detail everywhere. spread: of neighbouring samples.
-        edges: (blocks, DIRECTIONS) how much there is of each direction, where rounds are not compared: these must have other lattices.
+        samples: (C, H, W), one in each pixel, and the row and column of the first.
         counts: under a tolerance how many points a pixel a lattice needs, in the first round.
         done: blocks that are known well enough already, and what these and the attempt at others have `taken`.
     """
@@ -63,7 +63,7 @@ class _Seen(NamedTuple):
     jumping: Tensor
     texture: Tensor
     spread: Tensor
-    edges: Tensor | None
+    samples: tuple[Tensor, int, int]
     counts: Tensor | None
     done: list[tuple[Cell, Part]]
     taken: int
@@ -138,19 +138,31 @@ class PilotedRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            edges = seen.edges
-            if edges is not None and judged.sharp:
-                faces = self.parts.ask(cell, left)
-                plainly = tile_means((part.model != PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() == 0
-                edges = faced(faces, judged, plainly, edges, self.parts.seed)
-                part.points.add_(faces.points)
-                left = faces.left
-            sampled_further(self.parts, part, cell, seen.spread, edges, left, None if most is None else self.spp)
+            poorest = poorest_of(part, cell, seen.spread)
+            if poorest:
+                edges, left = self._edges(seen, part, cell, left)
+                sampled_further(self.parts, part, cell, poorest, edges, left, None if most is None else self.spp)
         else:
             sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
         crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(shape_of(cell)), cell)
         part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
         return part.estimate()
+
+    def _edges(self, seen: _Seen, part: Part, cell: Cell, left: int) -> tuple[Tensor | None, int]:
+        """As in `directions`, those of the jumps that were found where nothing of a block was located, and the evaluations then left.
+
+        None where rounds are compared: these must have other lattices.
+        """
+        if self.wanted is not None or not self.first:
+            return None, left
+        edges = directions(*seen.samples, cell).cpu()
+        if not seen.judged.sharp:
+            return edges, left
+        ask = self.parts.ask(cell, left)
+        plainly = tile_means((part.model != PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() == 0
+        edges = faced(ask, seen.judged, plainly, edges, self.parts.seed)
+        part.points.add_(ask.points)
+        return edges, ask.left
 
     def _pilot(self, cell: Cell, ask: Counted) -> _Seen:
         """What one sample a pixel tells of the blocks."""
@@ -183,7 +195,7 @@ class PilotedRound(Round):
         jumping = _jumping(cell, judged)
         if codes is not None:
             judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
-        edges = directions(values, row, col, cell).cpu() if self.wanted is None and self.first else None
+        samples = values, row, col
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         counts, done, taken = None, [], 0
         if self.resolved is not None:
@@ -206,7 +218,7 @@ class PilotedRound(Round):
             jumping.cpu(),
             texture.flatten().cpu(),
             spread.flatten().to("cpu", torch.float64),
-            edges,
+            samples,
             counts,
             done,
             taken,
