@@ -172,3 +172,10 @@ def test_detail_beside_a_candidate_that_the_samples_do_not_show_is_noise() -> No
     shift = 0.3, 0.2
     assert [Verdict(int(judged(stripes, seed, shift)[0].verdict)) for seed in range(10)] == [Verdict.NOISE] * 10
     assert [Verdict(int(judged(one, seed, shift)[0].verdict)) for seed in range(10)] == [Verdict.JUMPS] * 10
+
+
+def test_a_hairline_beside_a_hairline_is_seldom_noise() -> None:
+    """Of 0.1 px, 0.6 px apart: up to a fourth of the places beside one lie in the other. Measured 13 of 60, and 34 if that counts in full."""
+    pair = lambda x, y: step(((0.3 * x + y - 17).abs() - 0.3).abs() < 0.05)  # noqa: E731
+    verdicts = [Verdict(int(judged(pair, seed, ((0.618 * seed) % 1, (0.755 * seed) % 1))[0].verdict)) for seed in range(60)]
+    assert verdicts.count(Verdict.JUMPS) >= 40 and verdicts.count(Verdict.NOISE) <= 20

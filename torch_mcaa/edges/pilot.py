@@ -21,7 +21,7 @@ _SIDES = 5
 """Continuous steps that a part of the screen must show along an axis to be one edge."""
 _THINNEST = 0.01
 """Px, of what is taken for the width of a thin piece."""
-_FEW, _MISPREDICTED, _UNSEEN = 0.05, 0.2, 0.15
+_FEW, _MISPREDICTED, _UNSEEN, _ALONE = 0.05, 0.2, 0.15, 0.05
 _CHANCE = 2
 """Candidates that may be foretold wrong beside: near few hairlines close by some are."""
 _BROKEN, _TESTED, _PEAKED, _HELD = 0.25, 10, 0.22, 0.5
@@ -67,7 +67,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     Then f is foretold at one fresh random place in each from the jumps found. Fewer than 5 % of the candidates with a jump: f is
     continuous. More than 20 % foretold wrong, and of few candidates two more: noise, which always "has a jump" in one half, so that counting
     jumps cannot tell. More than 15 %, likewise, of those foretold wrong that lie in the next segment, where no jump was seen: detail finer
-    than the samples, which is noise too.
+    than the samples, which is noise too; beside thin pieces, which like company, 20 %.
     More than 25 % of the jumps, of 10 or more, that are no edge: detail on every scale, of which bisection finds one jump of many. Where an
     edge is straight two points opposite each other about a place on it have the colours of its two sides, whatever its direction; about a
     thin piece's they may both have the one outside it.
@@ -79,8 +79,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
         part: for each axis the part (S,) of its segments.
     """
     tried = torch.zeros(parts, dtype=torch.int64, device=part[0].device)
-    change, jumped, wrong, beside, unseen, peaks = (
-        torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(6)
+    change, jumped, wrong, beside, unseen, peaks, alone = (
+        torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(7)
     )
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
     lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
@@ -117,11 +117,12 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
                 (beside, size * still),
                 (unseen, size * (still & look.surprised(next_))),
                 (peaks, size * (~has & look.some.single)),
+                (alone, size * (still & look.some.single)),
             ):
                 total += torch.bincount(where, weights=seen, minlength=parts)
     verdict = torch.full_like(tried, Verdict.JUMPS)
     chance = _CHANCE / torch.bincount(torch.cat(part), minlength=parts).clamp_min(1)
-    noise = (wrong > (_MISPREDICTED + chance) * jumped) | (unseen > (_UNSEEN + chance) * beside)
+    noise = (wrong > (_MISPREDICTED + chance) * jumped) | (unseen > (_UNSEEN + chance) * beside + _ALONE * alone)
     verdict[noise] = Verdict.NOISE
     # both outside of a thin piece have always less, or always more
     broken = 2 * torch.minimum(more, less)

@@ -34,6 +34,8 @@ _DENSE = 3.0
 """What more a crossing takes where there are many: for each one in a pixel of a line, in parts of what it takes alone."""
 _LINE, _LINE_STEP = 19.0, 4.0
 """The same for a line across a thin piece."""
+_THIN = 0.7
+"""The share of what a block's crossings cost from which on it is for thin pieces' sake."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,8 @@ def plans_of(
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
     lines = torch.where(lines < fewest, 0, lines)
+    if plain and fewest <= FEWEST_LINES:
+        lines[_thin_too(lines, cost, share, steps, judged, pixels)] = FEWEST_LINES
     labels = [-1 if done is not None and done[b] else int(count) for b, count in enumerate(lines)]
     rectangles, label = cell.rectangles(BLOCK, labels), torch.tensor(labels)
     return [
@@ -123,6 +127,20 @@ def _lines(
         # for its size: a block that the screen cuts costs little even where it costs most a pixel
         busy[(cost / pixels * busy).argmax()] = False
     return torch.where(quiet, most if bool(quiet.all()) else min(most, _CALM_LINES), 0), cost
+
+
+def _thin_too(lines: Tensor, cost: Tensor, share: Tensor, steps: int, judged: Judged, pixels: Tensor) -> Tensor:
+    """Which blocks (blocks,) that have no `lines` are dear for thin pieces' sake, and can be paid for with what is left, the cheapest first.
+
+    On three lines a thin piece errs by far less than any number of samples would, as edges with corners do not.
+    """
+    thin = (_LINE + _LINE_STEP * steps) * judged.lines
+    dropped = (lines == 0) & (judged.verdict == Verdict.JUMPS) & (thin > _THIN * (cost - pixels))
+    left = float(torch.where(lines > 0, share - cost * lines, share * dropped).sum())
+    order = torch.argsort(torch.where(dropped, cost, torch.inf))
+    paid = torch.zeros_like(dropped)
+    paid[order] = (FEWEST_LINES * cost[order]).cumsum(0) <= _SAFE * left
+    return paid & dropped
 
 
 def _quiet(cell: Cell, verdict: Tensor) -> Tensor:

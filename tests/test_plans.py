@@ -1,0 +1,52 @@
+"""What the blocks of a cell get for the evaluations there are."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.pilot import Judged, Verdict
+from torch_mcaa.estimators.plans import Plan, plans_of
+from torch_mcaa.grid import Cell
+
+CELL, BLOCKS = Cell(0, 0, 128, 128), 16
+
+
+def planned(budget: int, crossings: dict[int, float], lines: dict[int, float]) -> tuple[list[Plan], Tensor]:
+    """The plans for 16 blocks of 32 x 32 px of which those with crossings or lines across thin pieces jump, and the lines of each block."""
+    verdict = torch.full((BLOCKS,), int(Verdict.NONE))
+    crossed, thin = torch.zeros(BLOCKS, dtype=torch.float64), torch.zeros(BLOCKS, dtype=torch.float64)
+    for counts, seen in ((crossings, crossed), (lines, thin)):
+        for block, count in counts.items():
+            verdict[block], seen[block] = int(Verdict.JUMPS), count
+    judged = Judged(verdict, 24 * (verdict == Verdict.JUMPS), (crossed, crossed), thin)
+    plans = plans_of(CELL, judged, torch.zeros(BLOCKS, dtype=torch.bool), budget * CELL.height * CELL.width, True, 5)
+    found = torch.full((BLOCKS,), -1)
+    for plan in plans:
+        for part in plan.cells:
+            rows, cols = (
+                range(first // 32, (first + size) // 32) for first, size in ((part.row, part.height), (part.col, part.width))
+            )
+            found[[4 * row + col for row in rows for col in cols]] = plan.lines
+    assert bool((found >= 0).all())
+    return plans, found
+
+
+def test_all_alike_where_it_can_be_paid_for() -> None:
+    plans, found = planned(16, {5: 40.0, 6: 40.0}, {9: 30.0})
+    assert len(plans) == 1 and int(found[0]) >= 5
+
+
+def test_what_is_planned_can_be_paid_for() -> None:
+    for budget in (6, 8, 12, 16, 32):
+        for thin in (20.0, 60.0, 120.0, 400.0):
+            plans, _ = planned(budget, {1: 30.0, 2: 60.0, 3: 300.0}, {8: thin, 9: 35.0, 10: 2 * thin})
+            assert sum(plan.cost for plan in plans) <= budget * CELL.height * CELL.width
+
+
+def test_blocks_dear_for_thin_pieces_are_followed_with_what_is_left() -> None:
+    """What five times as many crossings make too dear is sampled; the same for a hairline's sake has three lines."""
+    sampled, followed = (
+        planned(8, {8: 30.0, 9: 30.0, **more}, {10: 35.0, **thin})[1] for more, thin in (({5: 330.0}, {}), ({}, {5: 130.0}))
+    )
+    assert int(sampled[5]) == 0 and int(followed[5]) == 3
