@@ -125,14 +125,16 @@ class PilotedRound(Round):
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
         reserved = sum(plan.cost for plan in plain)
+        # what the pilot took counts
+        room = left if most is None else left + (most - self.spp) * pixels
         if most is not None:
-            left = max(left, min(left + (most - self.spp) * pixels, int(_MARGIN * expected + reserved)))
+            left = max(left, min(room, int(_MARGIN * expected + reserved)))
         for plan in located:
             budget = int(
                 plan.cost / expected * (left - reserved) if not plain else min(_MARGIN * plan.cost, left - reserved * _RESERVED)
             )
             size = sum(each.height * each.width for each in plan.cells)
-            more = 0 if most is None else max(0, most * size - budget)
+            more = 0 if most is None else max(0, room * size // pixels - budget)
             parts = self.parts.located(cell, plan.cells, plan.lines, budget, plan.steps, seen.jumping, self.wanted, more)
             done += parts
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost

@@ -36,6 +36,8 @@ def sparser(work: Leveller, count: int, wanted: Tensor, unpaid: float) -> Correc
     work.lost = torch.zeros_like(work.lost)
     try:
         first = work.shift(fewer, _NUMBER, wanted)
+        if not bool(first.core.any()):
+            return None
         second = work.shift(fewer, _NUMBER + 1, first.pixels.plane(first.core), first)
     except Spent:
         return None
