@@ -79,7 +79,7 @@ class Corrector:
         self.blocks, self.sizes = shape_of(ask.cell), sizes_of(ask.cell).to(allowed.device)
         self.most_steps = steps
         # where there are pieces that had to be left to sampling, and what it would have taken not to
-        self.thin = torch.zeros_like(allowed), 0.0
+        self.missed = torch.zeros_like(allowed), 0.0
 
     def run(self, finder: Finder) -> Corrected | None:
         """Judge the blocks, and correct those that jump as far as the evaluations go; None where nothing is corrected.
@@ -87,7 +87,7 @@ class Corrector:
         finder: has seen the samples.
         """
         found = self._twice(finder)
-        again = sparser(self.work, self.base.count, *self.thin)
+        again = sparser(self.work, self.base.count, *self.missed)
         if found is None:
             return again
         result = self._refined(*found) if isinstance(found, _Twice) else found
@@ -121,7 +121,7 @@ class Corrector:
             first = self.work.first(self.base, found, axes, wanted)
         except Spent:
             return None
-        self.thin = self.allowed & self.work.lost & dilated(self.work.met, AROUND), self.work.unpaid
+        self.missed = self.allowed & self.work.thin.lost & dilated(self.work.thin.hits, AROUND), self.work.thin.unpaid
         segments = sum(len(s) for s in found)
         # as large as all that is to come
         del found, part, followed
@@ -129,13 +129,13 @@ class Corrector:
         unknown = Corrected.of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
         if not bool(known.any()):
             return unknown
-        lost = self.work.lost
+        lost = self.work.thin.lost
         try:
             second = self.work.shift(self.base.count, 1, first.pixels.plane(known), first)
         except Spent:
             return unknown
         # a shift that lost thin pieces tells nothing of one that has them
-        told = ~self.work.lost | lost
+        told = ~self.work.thin.lost | lost
         known, checked = known & told[first.pixels.rows, first.pixels.cols], checked & told
         if not bool(known.any()):
             return unknown
@@ -149,7 +149,7 @@ class Corrector:
         spent: (blocks,) what its crossings took.
         """
         # with thin pieces that could not be followed samples do as well as lines that miss them
-        whole = self._by_block(self.work.lost.to(torch.float64)) == 0
+        whole = self._by_block(self.work.thin.lost.to(torch.float64)) == 0
         core = first.pixels.plane(first.core)
         cost = _AGAIN * spent + self.base.count * self._by_block(dilated(core, 2).to(torch.float64))
         order = torch.argsort(cost)

@@ -17,26 +17,17 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.ends import ends
 from torch_mcaa.edges.foretell import narrowed_all
 from torch_mcaa.edges.lines import Lines, norm, scattered, summed
-from torch_mcaa.edges.pieces import Numbered
 from torch_mcaa.edges.pixels import Pixels
-from torch_mcaa.edges.thin import beside, complete, thin_pieces, unfollowed
-from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel, told
+from torch_mcaa.estimators.blocks import told
 from torch_mcaa.estimators.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.regular import regular
 from torch_mcaa.estimators.sides import sides
+from torch_mcaa.estimators.thin_pieces import FIRST, THINNEST, ThinPieces, widened
 from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
 
-_FIRST = 0.45
-"""The share of what is left that a first shift may spend on thin pieces."""
-_TIMES, _WALK = 4.0, 0.1
-"""What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
-on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
-_THIN = 2.0**-12
-"""Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
 _PREFERRED = 1.15
 """What the horizontal lines' density of jumps is multiplied by, so that chance does not choose where both are alike."""
 _CORE = 0.03
@@ -92,18 +83,14 @@ class Leveller:
     Attributes:
         plain: (C, h, w) the weighted means of a lattice that was sampled everywhere.
         finest: px, how narrow a bracket has to be.
-        lost: bool (h, w), the blocks in which thin pieces that were met had to be left to sampling; met: bool (h, w), where samples hit them.
-        unpaid: what to follow them would have taken where there were too few evaluations for it.
+        thin: the thin pieces, and the blocks that are lost to sampling.
     """
 
     def __init__(self, ask: Counted, seed: int, plain: Tensor) -> None:
         self.ask, self.cell, self.seed, self.plain = ask, ask.cell, seed, plain
         self.window = Window(ask.task.filter, plain.device)
-        self.finest, self.unpaid = 0.0, 0.0
-        self.lost, self.met = (torch.zeros_like(plain[0], dtype=torch.bool) for _ in range(2))
+        self.finest, self.thin = 0.0, ThinPieces(ask, self.window)
         self.smooth = self.deciding = self.plain.new_zeros(0)
-        # what following thin pieces took along either axis on the last shift: chance decides how many of them samples hit
-        self.took = [0, 0]
 
     def worthwhile(self, found: list[Segments]) -> list[Segments]:
         """The segments without those whose decisions do not make f jump, which are left out on other shifts, too."""
@@ -191,16 +178,15 @@ class Leveller:
         window, seed = self.window, self.seed + lines.number
         used = [axes.used(axis, wanted) for axis in (0, 1)]
         taken = [segments.take(self.reaching(segments, here)) for segments, here in zip(found, used, strict=True)]
-        most, before = _FIRST if known is None else 1.0, self.ask.left
+        before = self.ask.left
         bisected = self._bisected(taken, lines, known, seed)
-        walk = _WALK * (before - self.ask.left)
-        completed = [self._completed(c, lines, u, seed, most, walk, known is not None) for c, u in zip(bisected, used, strict=True)]
-        every = [crossings for crossings, _ in completed]
-        for (_, hit), others in zip(completed, every[::-1], strict=True):
-            # what the lines of one axis cannot follow those of the other may have
-            self._lose(hit.take(~beside(hit, others, Numbered(lines, others.axis))))
+        every = self.thin.completed(
+            bisected, lines, used, seed, min(self.finest, THINNEST), before - self.ask.left, known is not None
+        )
         if self.ask.task.followed is None:
-            every = [self._continued(c, lines, here, seed, most) for c, here in zip(every, used, strict=True)]
+            every = [
+                self._continued(c, lines, here, seed, FIRST if known is None else 1.0) for c, here in zip(every, used, strict=True)
+            ]
         if lines.number == 0 and self.ask.task.dtype != torch.float64:
             # that lattice was not asked as jumps are
             every = [self._sided(c) for c in every]
@@ -231,40 +217,6 @@ class Leveller:
             share = torch.where(alike, (_PREFERRED * densities[0] >= densities[1]).to(share), share)
         return Level(pixels, value, plain, spread, near, core, every, lines, Axes(pixels, share, torch.zeros_like(near)))
 
-    def _completed(
-        self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, share: float, walk: float, foretold: bool
-    ) -> tuple[Crossings, Crossings]:
-        """The crossings with thin pieces followed, and none; or, where that takes more than a share of what is left, or goes astray, those
-        without the pieces that samples hit, and those.
-        """
-        if not thin_pieces(crossings, lines):
-            return crossings, crossings.take(slice(0))
-        reach = self.window.reach + 1
-        wanted, origin = _widened(used & ~self.lost, reach), (self.cell.row - reach, self.cell.col - reach)
-        without, hit, cost = unfollowed(crossings, lines, wanted, origin, foretold)
-        if cost <= share * self.ask.left:
-            before = self.ask.left
-            limit = (_TIMES * max(cost, self.took[crossings.axis]) + walk) / max(1, before)
-            try:
-                with self.ask.keeping(1 - min(share, limit)):
-                    crossings = complete(self.ask, crossings, lines, wanted, origin, min(self.finest, _THIN), seed)
-                self.took[crossings.axis] = before - self.ask.left
-                return crossings, crossings.take(slice(0))
-            except Spent:
-                pass
-        else:
-            self.unpaid += cost
-        return without, hit
-
-    def _lose(self, hit: Crossings) -> None:
-        """Leave the blocks with crossings to sampling."""
-        x, y = placed(hit.axis, hit.place, hit.across)
-        row, col = y.floor().long() - self.cell.row, x.floor().long() - self.cell.col
-        met = torch.zeros_like(self.lost)
-        met[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
-        self.met = self.met | met
-        self.lost = self.lost | by_pixel(tile_means(met.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
-
     def _sided(self, crossings: Crossings) -> Crossings:
         try:
             return sided(self.ask.sampled, crossings)
@@ -275,7 +227,7 @@ class Leveller:
         """The crossings with those of their edges that do not stand out, as far as a share of what is left pays for them."""
         # no further than there are samples: beyond, every edge ends, and none weighs anything
         reach = self.window.halo - 1
-        wanted, origin = _widened(used & ~self.lost, reach), (self.cell.row - reach, self.cell.col - reach)
+        wanted, origin = widened(used & ~self.thin.lost, reach), (self.cell.row - reach, self.cell.col - reach)
         try:
             with self.ask.keeping(1 - share):
                 return continued(self.ask, crossings, lines, wanted, origin, self.finest, seed)
@@ -305,7 +257,7 @@ class Leveller:
         others = [s.take(~o) for s, o in zip(segments, odd, strict=True)]
         first = bisect_all(self.ask, others, self.finest, seed)
         even, lost = regular(self.cell, [s.take(o) for s, o in zip(segments, odd, strict=True)], others, first, apart)
-        self.lost = self.lost | lost
+        self.thin.lost = self.thin.lost | lost
         rest = narrowed_all(self.ask, even, first, apart, seed)
         second = bisect_all(self.ask, rest, self.finest, seed)
         return [joined([a, b]) for a, b in zip(first, second, strict=True)]
@@ -313,16 +265,11 @@ class Leveller:
     def reaching(self, segments: Segments, wanted: Tensor) -> Tensor:
         """Which segments begin where the filter of a pixel `wanted` (h, w) reaches; bool (S,)."""
         reach = self.window.reach + 1
-        wide = _widened(wanted, reach)
+        wide = widened(wanted, reach)
         x, y = placed(segments.axis, segments.low, segments.across)
         row = (y.floor().long() - self.cell.row + reach).clamp(0, wide.shape[0] - 1)
         col = (x.floor().long() - self.cell.col + reach).clamp(0, wide.shape[1] - 1)
         return wide[row, col]
-
-
-def _widened(wanted: Tensor, by: int) -> Tensor:
-    """The pixels up to so many off those `wanted` (h, w), and as many more on every side."""
-    return dilated(torch.nn.functional.pad(wanted, (by,) * 4), by)
 
 
 def _sizes(segments: Segments) -> Tensor:

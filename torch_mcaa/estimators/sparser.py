@@ -33,7 +33,7 @@ def sparser(work: Leveller, count: int, wanted: Tensor, unpaid: float) -> Correc
     fewer -= 1 - fewer % 2
     if fewer < _FEWEST:
         return None
-    work.lost = torch.zeros_like(work.lost)
+    work.thin.lost = torch.zeros_like(work.thin.lost)
     try:
         first = work.shift(fewer, _NUMBER, wanted)
         if not bool(first.core.any()):
@@ -41,6 +41,6 @@ def sparser(work: Leveller, count: int, wanted: Tensor, unpaid: float) -> Correc
         second = work.shift(fewer, _NUMBER + 1, first.pixels.plane(first.core), first)
     except Spent:
         return None
-    whole = ~work.lost[first.pixels.rows, first.pixels.cols]
+    whole = ~work.thin.lost[first.pixels.rows, first.pixels.cols]
     first = replace(first, near=first.near & whole, core=first.core & whole)
     return Corrected.of(first, *merged(first, second), torch.zeros_like(first.near))

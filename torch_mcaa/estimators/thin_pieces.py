@@ -1,0 +1,94 @@
+"""The thin pieces of a cell on shift after shift of a lattice: followed where that can be paid for, and else left to sampling."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torch_mcaa.edges.bisect import Crossings, placed
+from torch_mcaa.edges.correction import Window
+from torch_mcaa.edges.lines import Lines
+from torch_mcaa.edges.pieces import Numbered
+from torch_mcaa.edges.thin import beside, complete, thin_pieces, unfollowed
+from torch_mcaa.estimators.audit import tile_means
+from torch_mcaa.estimators.base import dilated
+from torch_mcaa.estimators.blocks import BLOCK, by_pixel
+from torch_mcaa.estimators.counted import Counted, Spent
+
+FIRST = 0.45
+"""The share of what is left that a first shift may spend on thin pieces."""
+THINNEST = 2.0**-12
+"""Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
+_TIMES, _WALK = 4.0, 0.1
+"""What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
+on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
+
+
+class ThinPieces:
+    """Those that the shifts of a lattice meet in the cell that f is asked in.
+
+    Attributes:
+        lost: bool (h, w), the blocks in which some that were met had to be left to sampling, and others that are; hits: bool (h, w), where
+            samples hit those.
+        unpaid: what to follow them would have taken where there were too few evaluations for it.
+    """
+
+    def __init__(self, ask: Counted, window: Window) -> None:
+        self.ask, self.cell, self.reach = ask, ask.cell, window.reach + 1
+        self.lost, self.hits = (torch.zeros_like(ask.invalid, dtype=torch.bool) for _ in range(2))
+        self.unpaid = 0.0
+        # what following them took along either axis on the last shift: chance decides how many of them samples hit
+        self._took = [0, 0]
+
+    def completed(
+        self, crossings: list[Crossings], lines: Lines, used: list[Tensor], seed: int, finest: float, bisection: int, foretold: bool
+    ) -> list[Crossings]:
+        """The crossings along either axis with the pieces followed, or without those that samples hit, whose blocks are lost.
+
+        used: bool (h, w), the pixels that need the crossings along each axis. bisection: what that took. foretold: by an earlier shift.
+        """
+        parts = [self._along(c, lines, u, seed, finest, _WALK * bisection, foretold) for c, u in zip(crossings, used, strict=True)]
+        every = [found for found, _ in parts]
+        for (_, hit), others in zip(parts, every[::-1], strict=True):
+            # what the lines of one axis cannot follow those of the other may have
+            self._lose(hit.take(~beside(hit, others, Numbered(lines, others.axis))))
+        return every
+
+    def _along(
+        self, crossings: Crossings, lines: Lines, used: Tensor, seed: int, finest: float, walk: float, foretold: bool
+    ) -> tuple[Crossings, Crossings]:
+        """The crossings with thin pieces followed, and none; or, where that takes more than a share of what is left, or goes astray, those
+        without the pieces that samples hit, and those.
+        """
+        if not thin_pieces(crossings, lines):
+            return crossings, crossings.take(slice(0))
+        wanted, origin = widened(used & ~self.lost, self.reach), (self.cell.row - self.reach, self.cell.col - self.reach)
+        without, hit, cost = unfollowed(crossings, lines, wanted, origin, foretold)
+        share = 1.0 if foretold else FIRST
+        if cost <= share * self.ask.left:
+            before = self.ask.left
+            limit = (_TIMES * max(cost, self._took[crossings.axis]) + walk) / max(1, before)
+            try:
+                with self.ask.keeping(1 - min(share, limit)):
+                    crossings = complete(self.ask, crossings, lines, wanted, origin, finest, seed)
+                self._took[crossings.axis] = before - self.ask.left
+                return crossings, crossings.take(slice(0))
+            except Spent:
+                pass
+        else:
+            self.unpaid += cost
+        return without, hit
+
+    def _lose(self, hit: Crossings) -> None:
+        """Leave the blocks with crossings to sampling."""
+        x, y = placed(hit.axis, hit.place, hit.across)
+        row, col = y.floor().long() - self.cell.row, x.floor().long() - self.cell.col
+        hits = torch.zeros_like(self.lost)
+        hits[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
+        self.hits = self.hits | hits
+        self.lost = self.lost | by_pixel(tile_means(hits.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
+
+
+def widened(wanted: Tensor, by: int) -> Tensor:
+    """The pixels up to so many off those `wanted` (h, w), and as many more on every side."""
+    return dilated(torch.nn.functional.pad(wanted, (by,) * 4), by)
