@@ -20,9 +20,9 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa.arguments import task_of
 from torch_mcaa.estimators import Shared
-from torch_mcaa.estimators.audit import Audit
-from torch_mcaa.estimators.fused import Fused
-from torch_mcaa.estimators.lattice_weights import LatticeWeights
+from torch_mcaa.estimators.lattice.audit import Audit
+from torch_mcaa.estimators.lattice.fused import Fused
+from torch_mcaa.estimators.lattice.lattice_weights import LatticeWeights
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.patterns import Lattice
 

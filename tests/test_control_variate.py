@@ -10,7 +10,7 @@ import torch
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.control_variate import ControlVariate, _fitted
+from torch_mcaa.estimators.paper.control_variate import ControlVariate, _fitted
 from torch_mcaa.filters import Filter
 from torch_mcaa.filters.gauss import legendre
 from torch_mcaa.filters.moments import moment, variance

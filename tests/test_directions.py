@@ -10,8 +10,8 @@ import torch
 
 import torch_mcaa as mcaa
 from torch_mcaa.edges.pilot import Judged
-from torch_mcaa.estimators.counted import Counted
 from torch_mcaa.estimators.directions import directions, faced
+from torch_mcaa.estimators.located.counted import Counted
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.turned import DIRECTIONS, angles
 

@@ -13,7 +13,7 @@ import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.densities import Density, FilterDensity
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.pairs import Pairs
+from torch_mcaa.estimators.paper.pairs import Pairs
 from torch_mcaa.filters import Filter
 
 F64 = torch.float64

@@ -13,10 +13,10 @@ import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.estimators import Task
 from torch_mcaa.estimators.bandwidth import Bandwidth
-from torch_mcaa.estimators.counted import Counted, Precision
+from torch_mcaa.estimators.located.counted import Counted, Precision
+from torch_mcaa.estimators.paper.suited import Suited, choose
 from torch_mcaa.estimators.resolved import Grid, Resolved
 from torch_mcaa.estimators.steepness import steepness_of
-from torch_mcaa.estimators.suited import Suited, choose
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 from torch_mcaa.patterns.nested import Nested, distances, nested

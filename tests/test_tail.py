@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.tail import pareto_k
+from torch_mcaa.estimators.paper.tail import pareto_k
 
 PIXELS = 2000
 

@@ -13,7 +13,7 @@ import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.estimators import Estimate, Task
 from torch_mcaa.estimators.bandwidth import Bandwidth
-from torch_mcaa.estimators.counted import Counted, Precision
+from torch_mcaa.estimators.located.counted import Counted, Precision
 from torch_mcaa.estimators.steepness import Steepness, steepness_of
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.estimators import Estimate
-from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import box3
+from torch_mcaa.estimators.lattice.audit import tile_means
 
 _TILE = 8
 """Px: over how much of the screen the rounds' disagreement is compared with what they reported."""

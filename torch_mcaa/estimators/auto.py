@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from torch_mcaa.estimators.base import Estimator, Round, Task
-from torch_mcaa.estimators.importance import Importance
+from torch_mcaa.estimators.located.sides import ends_in_step, sides
 from torch_mcaa.estimators.narrow import LEAST, WORTH, DrawnRound, held
+from torch_mcaa.estimators.paper.importance import Importance
 from torch_mcaa.estimators.parts import CROWDED, DRAWN, EXACT, MODELS, SAMPLED, cell_of, located
 from torch_mcaa.estimators.piloted import PilotedRound
 from torch_mcaa.estimators.shared import Shared
-from torch_mcaa.estimators.sides import ends_in_step, sides
 from torch_mcaa.estimators.texels import SIDE, Texels, TexelsRound, axes_of
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.tolerance import Tolerance

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import MANY, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in
+from torch_mcaa.estimators.lattice.audit import tile_means
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in
 from torch_mcaa.estimators.parts import FEWEST_LINES, FINER, LOCATED, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.grid import Cell
 

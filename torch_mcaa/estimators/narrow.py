@@ -9,7 +9,7 @@ import torch
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Estimate, Round, Task
-from torch_mcaa.estimators.importance import Importance
+from torch_mcaa.estimators.paper.importance import Importance
 from torch_mcaa.grid import Cell
 
 LEAST = 2.0

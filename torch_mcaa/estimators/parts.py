@@ -17,12 +17,12 @@ from torch_mcaa.edges.candidates import Finder
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere, Lines
 from torch_mcaa.estimators.base import Estimate, Task, dilated, settled, unseen
-from torch_mcaa.estimators.counted import Counted, Precision
-from torch_mcaa.estimators.jump_corrector import Corrector
-from torch_mcaa.estimators.lattice_weights import Geometry
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry
+from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound, Look
+from torch_mcaa.estimators.located.counted import Counted, Precision
+from torch_mcaa.estimators.located.jump_corrector import Corrector
+from torch_mcaa.estimators.located.owner import Owner
 from torch_mcaa.estimators.narrow import SOME, held
-from torch_mcaa.estimators.owner import Owner
-from torch_mcaa.estimators.shared_lattice import LatticeRound, Look
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns.turned import FEWEST as SUITED

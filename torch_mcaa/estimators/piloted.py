@@ -14,13 +14,13 @@ from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
-from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import Estimate, Round, Task, dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_in, blocks_of, by_pixel, shape_of
-from torch_mcaa.estimators.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.directions import directions, faced
 from torch_mcaa.estimators.further import poorest_of, sampled_first, sampled_further
-from torch_mcaa.estimators.jump_corrector import JUDGED, KEPT
+from torch_mcaa.estimators.lattice.audit import tile_means
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, blocks_of, by_pixel, shape_of
+from torch_mcaa.estimators.located.counted import Counted, Spent, is_random
+from torch_mcaa.estimators.located.jump_corrector import JUDGED, KEPT
 from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.filters import SeparableFilter
@@ -187,7 +187,7 @@ class PilotedRound(Round):
         found = [_about(cell, candidates(samples, axis)) for axis in (0, 1)]
         with ask.keeping(KEPT):
             if codes is not None:
-                from torch_mcaa.estimators.decided import worthwhile
+                from torch_mcaa.estimators.located.decided import worthwhile
 
                 found, _, _ = worthwhile(ask, cell, found, parts.seed)
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], math.prod(shape_of(cell)), JUDGED, parts.seed)

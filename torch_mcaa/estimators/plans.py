@@ -9,8 +9,8 @@ from torch import Tensor
 
 from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, shape_of, sizes_of
-from torch_mcaa.estimators.jump_corrector import STEPS
+from torch_mcaa.estimators.located.blocks import BLOCK, shape_of, sizes_of
+from torch_mcaa.estimators.located.jump_corrector import STEPS
 from torch_mcaa.estimators.parts import FEWEST_LINES, lines_for
 from torch_mcaa.grid import Cell
 

@@ -19,11 +19,11 @@ from torch_mcaa import rng
 from torch_mcaa.edges.pilot import Verdict
 from torch_mcaa.estimators.bandwidth import Bandwidth
 from torch_mcaa.estimators.base import Task, box3
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of, shape_of
-from torch_mcaa.estimators.counted import Counted
+from torch_mcaa.estimators.located.blocks import BLOCK, by_pixel, rectangles_of, shape_of
+from torch_mcaa.estimators.located.counted import Counted
+from torch_mcaa.estimators.paper.suited import Suited, choose
 from torch_mcaa.estimators.parts import PLAIN, Part
 from torch_mcaa.estimators.steepness import steepness_of
-from torch_mcaa.estimators.suited import Suited, choose
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.nested import Nested

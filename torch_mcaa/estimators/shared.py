@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Estimator, Round, Task
-from torch_mcaa.estimators.fused import Fused
+from torch_mcaa.estimators.lattice.fused import Fused
+from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound, ReplicatedRound
+from torch_mcaa.estimators.lattice.shared_points import SharedPointsRound
 from torch_mcaa.estimators.narrow import check_held
-from torch_mcaa.estimators.shared_lattice import LatticeRound, ReplicatedRound
-from torch_mcaa.estimators.shared_points import SharedPointsRound
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice, Pattern
 

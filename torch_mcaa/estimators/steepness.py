@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.estimators.audit import tile_means
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel, rectangles_of
-from torch_mcaa.estimators.counted import Counted
+from torch_mcaa.estimators.lattice.audit import tile_means
+from torch_mcaa.estimators.located.blocks import BLOCK, by_pixel, rectangles_of
+from torch_mcaa.estimators.located.counted import Counted
 from torch_mcaa.grid import Cell
 
 _PLACES = 24

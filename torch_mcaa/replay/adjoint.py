@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.lattice_weights import LatticeWeights
+from torch_mcaa.estimators.lattice.lattice_weights import LatticeWeights
 from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import Strip

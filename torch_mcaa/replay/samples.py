@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.shared_lattice import LatticeRound
+from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK
 from torch_mcaa.patterns.lattice import Strip

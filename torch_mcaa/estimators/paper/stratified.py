@@ -11,10 +11,10 @@ from torch import Tensor
 from torch_mcaa.densities import FilterDensity, Mixture, Normal
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.importance import effective
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise, combined
-from torch_mcaa.estimators.tail import pareto_k
-from torch_mcaa.estimators.weights import check_weights
+from torch_mcaa.estimators.paper.importance import effective
+from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Pixelwise, combined
+from torch_mcaa.estimators.paper.tail import pareto_k
+from torch_mcaa.estimators.paper.weights import check_weights
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.moments import Moments
 from torch_mcaa.patterns import Independent

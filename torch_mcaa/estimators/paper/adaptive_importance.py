@@ -13,8 +13,8 @@ from torch_mcaa.densities import Density, Histogram, Mixture, Normal
 from torch_mcaa.densities.histogram import sample_bins
 from torch_mcaa.densities.mixture import choose
 from torch_mcaa.errors import McaaError
-from torch_mcaa.estimators.importance import weighted
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Sequential, combined
+from torch_mcaa.estimators.paper.importance import weighted
+from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Sequential, combined
 from torch_mcaa.filters import Filter
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.patterns import Pattern, Sobol

@@ -14,8 +14,8 @@ from torch import Tensor
 from torch_mcaa.allocation import Allocation, Uniform
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Diagnostics, Estimate, Estimator, Round, Task, pooled, settled, unseen
+from torch_mcaa.estimators.paper.tail import without_moment
 from torch_mcaa.estimators.points import evaluate_points
-from torch_mcaa.estimators.tail import without_moment
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK, width_of

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.compiling import Compiled
-from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
+from torch_mcaa.estimators.lattice.audit import Audit
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import Function, channels_of

@@ -11,14 +11,14 @@ from torch import Tensor
 from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
-from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, blocks_of, by_pixel, shape_of, sizes_of
-from torch_mcaa.estimators.corrected import Corrected, beyond, merged
-from torch_mcaa.estimators.counted import Counted, Spent
-from torch_mcaa.estimators.jump_level import Axes, Level, Leveller
-from torch_mcaa.estimators.sides import sides
-from torch_mcaa.estimators.sparser import AROUND, sparser
+from torch_mcaa.estimators.lattice.audit import tile_means
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_pixel, shape_of, sizes_of
+from torch_mcaa.estimators.located.corrected import Corrected, beyond, merged
+from torch_mcaa.estimators.located.counted import Counted, Spent
+from torch_mcaa.estimators.located.jump_level import Axes, Level, Leveller
+from torch_mcaa.estimators.located.sides import sides
+from torch_mcaa.estimators.located.sparser import AROUND, sparser
 
 JUDGED = 24
 """Candidates of a block that it is judged by."""

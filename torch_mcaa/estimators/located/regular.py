@@ -8,7 +8,7 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.foretell import foretold
-from torch_mcaa.estimators.blocks import blocks_of, by_pixel, shape_of
+from torch_mcaa.estimators.located.blocks import blocks_of, by_pixel, shape_of
 from torch_mcaa.grid import Cell
 
 _SEEN, _FORETOLD, _PARTS = 48, 0.75, 2

@@ -12,9 +12,9 @@ from torch_mcaa.allocation import Allocation, Uniform
 from torch_mcaa.densities import Density
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.importance import Importance, effective
-from torch_mcaa.estimators.pixelwise import ROUNDS, Combine, Drawn, Pixels, Pixelwise
-from torch_mcaa.estimators.tail import pareto_k
+from torch_mcaa.estimators.paper.importance import Importance, effective
+from torch_mcaa.estimators.paper.pixelwise import ROUNDS, Combine, Drawn, Pixels, Pixelwise
+from torch_mcaa.estimators.paper.tail import pareto_k
 from torch_mcaa.moments import Moments
 from torch_mcaa.patterns import Independent
 

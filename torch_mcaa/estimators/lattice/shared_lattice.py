@@ -13,13 +13,13 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.compiling import NotCompiled
-from torch_mcaa.estimators.audit import Audit
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
-from torch_mcaa.estimators.fused import Fused
-from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
-from torch_mcaa.estimators.poles import Poles
-from torch_mcaa.estimators.sides import sides
-from torch_mcaa.estimators.splat import Splat, Sums
+from torch_mcaa.estimators.lattice.audit import Audit
+from torch_mcaa.estimators.lattice.fused import Fused
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry, LatticeWeights
+from torch_mcaa.estimators.lattice.poles import Poles
+from torch_mcaa.estimators.lattice.splat import Splat, Sums
+from torch_mcaa.estimators.located.sides import sides
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.tail import hill
+from torch_mcaa.estimators.paper.tail import hill
 from torch_mcaa.grid import Cell
 
 _MOST = 8

@@ -19,11 +19,11 @@ from torch_mcaa.edges.foretell import narrowed_all
 from torch_mcaa.edges.lines import Lines, norm, scattered, summed
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import told
-from torch_mcaa.estimators.counted import Counted, Spent, on_screen
-from torch_mcaa.estimators.regular import regular
-from torch_mcaa.estimators.sides import sides
-from torch_mcaa.estimators.thin_pieces import FIRST, THINNEST, ThinPieces, widened
+from torch_mcaa.estimators.located.blocks import told
+from torch_mcaa.estimators.located.counted import Counted, Spent, on_screen
+from torch_mcaa.estimators.located.regular import regular
+from torch_mcaa.estimators.located.sides import sides
+from torch_mcaa.estimators.located.thin_pieces import FIRST, THINNEST, ThinPieces, widened
 from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
@@ -94,7 +94,7 @@ class Leveller:
 
     def worthwhile(self, found: list[Segments]) -> list[Segments]:
         """The segments without those whose decisions do not make f jump, which are left out on other shifts, too."""
-        from torch_mcaa.estimators.decided import worthwhile
+        from torch_mcaa.estimators.located.decided import worthwhile
 
         found, self.smooth, self.deciding = worthwhile(self.ask, self.cell, found, self.seed)
         return found
@@ -237,7 +237,7 @@ class Leveller:
     def _bisected(self, segments: list[Segments], lines: Lines, known: Level | None, seed: int) -> list[Crossings]:
         """The crossings of the segments along either axis; without any known, every second line foretells the others."""
         if any(bool((s.decided > 0).any()) for s in segments):
-            from torch_mcaa.estimators.decided import crossings
+            from torch_mcaa.estimators.located.decided import crossings
 
             told, left = zip(*(crossings(self.ask, s.take(s.decided > 0), seed) for s in segments), strict=True)
             rest = [together([s.take(s.decided == 0), more]) for s, more in zip(segments, left, strict=True)]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Sequential, combined
+from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Sequential, combined
+from torch_mcaa.estimators.paper.stratified import stratified
 from torch_mcaa.estimators.rectangles import cut, even
-from torch_mcaa.estimators.stratified import stratified
 from torch_mcaa.patterns import Independent
 
 _FIRST = 4

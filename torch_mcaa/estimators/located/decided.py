@@ -10,8 +10,8 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import Crossings, joined
 from torch_mcaa.edges.candidates import Segments, threshold, without
 from torch_mcaa.edges.candidates import joined as together
-from torch_mcaa.estimators.blocks import deciding, told
-from torch_mcaa.estimators.counted import Counted
+from torch_mcaa.estimators.located.blocks import deciding, told
+from torch_mcaa.estimators.located.counted import Counted
 from torch_mcaa.grid import Cell
 from torch_mcaa.traced.asked import AT_ONCE
 from torch_mcaa.traced.refine import located

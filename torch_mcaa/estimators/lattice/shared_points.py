@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
+from torch_mcaa.estimators.lattice.poles import Poles
 from torch_mcaa.estimators.points import evaluate_points
-from torch_mcaa.estimators.poles import Poles
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns import Pattern
 

@@ -8,7 +8,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.jump_level import Level
+from torch_mcaa.estimators.located.jump_level import Level
 
 
 @dataclass(frozen=True)

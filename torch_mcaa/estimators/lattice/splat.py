@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from torch_mcaa.estimators.lattice_weights import Geometry, LatticeWeights
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK, width_of
 

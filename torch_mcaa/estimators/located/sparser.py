@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.corrected import Corrected, merged
-from torch_mcaa.estimators.counted import Spent
-from torch_mcaa.estimators.jump_level import Leveller
+from torch_mcaa.estimators.located.corrected import Corrected, merged
+from torch_mcaa.estimators.located.counted import Spent
+from torch_mcaa.estimators.located.jump_level import Leveller
 
 _FEWEST = 3
 AROUND = 5

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.lattice_weights import Geometry
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import Strip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from torch_mcaa.edges.candidates import Segments
-from torch_mcaa.estimators.lattice_weights import Geometry
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry
 from torch_mcaa.grid import Cell
 
 

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.importance import effective, weighted
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise
-from torch_mcaa.estimators.tail import pareto_k
+from torch_mcaa.estimators.paper.importance import effective, weighted
+from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Pixelwise
+from torch_mcaa.estimators.paper.tail import pareto_k
 from torch_mcaa.filters import Filter
 from torch_mcaa.filters.moments import moment, variance
 from torch_mcaa.moments import Moments

@@ -11,9 +11,9 @@ from torch import Tensor
 from torch_mcaa.densities import Density, FilterDensity
 from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.estimators.pixelwise import Drawn, Pixels, Pixelwise
-from torch_mcaa.estimators.tail import pareto_k
-from torch_mcaa.estimators.weights import check_weights
+from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Pixelwise
+from torch_mcaa.estimators.paper.tail import pareto_k
+from torch_mcaa.estimators.paper.weights import check_weights
 from torch_mcaa.filters import Box
 from torch_mcaa.moments import Moments
 from torch_mcaa.patterns import Independent, Lattice, Pattern, Sobol

@@ -10,10 +10,10 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pieces import Numbered
 from torch_mcaa.edges.thin import beside, complete, thin_pieces, unfollowed
-from torch_mcaa.estimators.audit import tile_means
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.blocks import BLOCK, by_pixel
-from torch_mcaa.estimators.counted import Counted, Spent
+from torch_mcaa.estimators.lattice.audit import tile_means
+from torch_mcaa.estimators.located.blocks import BLOCK, by_pixel
+from torch_mcaa.estimators.located.counted import Counted, Spent
 
 FIRST = 0.45
 """The share of what is left that a first shift may spend on thin pieces."""

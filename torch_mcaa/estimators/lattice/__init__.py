@@ -1,0 +1,1 @@
+"""Samples of shared lattices and points, weighed with the filter."""

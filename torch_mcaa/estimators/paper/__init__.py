@@ -1,0 +1,1 @@
+"""The estimators of Halton's paper, which draw points for each pixel."""
