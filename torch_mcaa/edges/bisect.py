@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.edges.candidates import Segments
+from torch_mcaa.edges.candidates import Segments, brackets
 from torch_mcaa.edges.lines import Ask
 from torch_mcaa.edges.picking import numbers, pick
 
@@ -91,6 +91,13 @@ def sided(ask: Ask, crossings: Crossings) -> Crossings:
     past = (value - some.before).abs().amax(0) > (some.after - value).abs().amax(0)
     place = torch.where(past, torch.minimum(some.place, sample - _ROUNDING), torch.maximum(some.place, sample + _ROUNDING))
     return replace(crossings, place=crossings.place.index_copy(0, near, place))
+
+
+def sharpened(ask: Ask, crossings: Crossings, line: Tensor, finest: float, seed: int, kind: int = 0) -> Crossings:
+    """The crossings, each on a `line` by its number, in brackets halved further; random numbers of another `kind` are others."""
+    low, high = crossings.place - crossings.width / 2, crossings.place + crossings.width / 2
+    ends = crossings.before, crossings.after
+    return bisect(ask, brackets(crossings.axis, crossings.across, low, high, *ends, crossings.phase, line, kind), finest, seed)
 
 
 def bisect(ask: Ask, segments: Segments, finest: float, seed: int) -> Crossings:

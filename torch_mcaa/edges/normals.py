@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings, ask_on, bisect
+from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, sharpened
 from torch_mcaa.edges.candidates import brackets
 from torch_mcaa.edges.lines import Ask
 from torch_mcaa.edges.pieces import SAME
@@ -21,8 +21,7 @@ def slopes(ask: Ask, jumps: Crossings, seed: int) -> tuple[Tensor, Tensor]:
     Edges flatter than a third to their line are not: the lines of the other axis see them.
     """
     number = torch.arange(len(jumps), device=jumps.place.device)
-    low, high = jumps.place - jumps.width / 2, jumps.place + jumps.width / 2
-    here = bisect(ask, brackets(jumps.axis, jumps.across, low, high, jumps.before, jumps.after, jumps.phase, number), _FINEST, seed)
+    here = sharpened(ask, jumps, number, _FINEST, seed)
     low, high, across = jumps.place - REACH * _BESIDE, jumps.place + REACH * _BESIDE, jumps.across + _BESIDE
     before, after = ask_on(ask, jumps.axis, torch.cat([low, high]), across.repeat(2)).unflatten(1, (2, -1)).unbind(1)
     beside = bisect(ask, brackets(jumps.axis, across, low, high, before, after, jumps.phase, number, kind=1), _FINEST, seed)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import BRACKET, Crossings, ask_on, bisect, joined
+from torch_mcaa.edges.bisect import BRACKET, Crossings, ask_on, bisect, joined, sharpened
 from torch_mcaa.edges.candidates import brackets
 from torch_mcaa.edges.lines import Ask, Lines
 from torch_mcaa.edges.pieces import SHORT, Known, Numbered, Pieces, inside, pieces_of, place_of
@@ -39,8 +39,11 @@ def complete(
     if len(crossings) < 2:
         return crossings
     grid = Numbered(lines, crossings.axis)
-    crossings = _opened(ask, _sharpened(ask, crossings, grid, finest, seed), grid, finest, seed)
     pieces, ends = pieces_of(crossings, grid)
+    for mended in (_narrowed, _opened):
+        before, crossings = crossings, mended(ask, crossings, pieces, ends, grid, finest, seed)
+        if crossings is not before:
+            pieces, ends = pieces_of(crossings, grid)
     known = Known(pieces)
     start = pieces.width < SHORT
     # a parallel piece close by is another one: what continues this one overlaps it, or nearly
@@ -115,23 +118,20 @@ def _without(count: int, ends: Tensor) -> Tensor:
     return kept.nonzero()[:, 0]
 
 
-def _sharpened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed: int) -> Crossings:
+def _narrowed(ask: Ask, crossings: Crossings, pieces: Pieces, ends: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
     """With the ends of short pieces known as exactly as their slopes, over a part of their width, ask for."""
-    pieces, ends = pieces_of(crossings, grid)
     blunt = torch.zeros(len(crossings), dtype=torch.bool, device=crossings.place.device)
     blunt[ends[pieces.width < SHORT]] = True
     blunt &= (crossings.width > 2 * finest) & (crossings.width <= BRACKET)
     if not bool(blunt.any()):
         return crossings
     some = crossings.take(blunt.nonzero()[:, 0])
-    low, high, line = some.place - some.width / 2, some.place + some.width / 2, grid.number(some.across)
-    segments = brackets(some.axis, some.across, low, high, some.before, some.after, some.phase, line, kind=2)
-    return joined([crossings.take((~blunt).nonzero()[:, 0]), bisect(ask, segments, finest, seed)])
+    sharp = sharpened(ask, some, grid.number(some.across), finest, seed, kind=2)
+    return joined([crossings.take((~blunt).nonzero()[:, 0]), sharp])
 
 
-def _opened(ask: Ask, crossings: Crossings, grid: Numbered, finest: float, seed: int) -> Crossings:
+def _opened(ask: Ask, crossings: Crossings, pieces: Pieces, _: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
     """With the crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
-    pieces, _ = pieces_of(crossings, grid)
     pieces = pieces.take(((pieces.width < SHORT) & (pieces.width > _PROBES_APART)).nonzero()[:, 0])
     if len(pieces) == 0:
         return crossings

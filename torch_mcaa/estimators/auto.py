@@ -53,10 +53,10 @@ class Auto(Estimator):
         return MODELS
 
     def locates(self, model: Tensor) -> bool:
-        return located(model)
+        return bool(located(model).any())
 
     def calm(self, model: Tensor) -> bool:
-        return not located(model) and not bool((model == CROWDED).any())
+        return not self.locates(model) and not bool((model == CROWDED).any())
 
     def detailed(self, model: Tensor) -> bool:
         return bool(((model == SAMPLED) | (model == CROWDED)).any())

@@ -11,7 +11,8 @@ from torch import Tensor
 from torch_mcaa.estimators.base import MANY, dilated
 from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in
-from torch_mcaa.estimators.parts import FEWEST_LINES, FINER, LOCATED, PLAIN, SAMPLED, Part, Parts
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
+from torch_mcaa.estimators.parts import PLAIN, SAMPLED, Part, Parts, located
 from torch_mcaa.grid import Cell
 
 _CLASSES = 3
@@ -52,7 +53,7 @@ def poorest_of(part: Part, cell: Cell, spread: Tensor) -> list[Poor]:
     span = (finite.amax((1, 2)) - finite.amin((1, 2)))[:, None, None]
     known = _SMALL * span + 64 * torch.finfo(value.dtype).eps * finite.abs().amax((1, 2), keepdim=True)
     # beside pixels whose jumps were located the variance is pooled with that of samples which these do not need
-    plain = (part.model == PLAIN) & ~dilated((part.model == LOCATED) | (part.model == FINER), 1)
+    plain = (part.model == PLAIN) & ~dilated(located(part.model), 1)
     poor = (variance.sqrt() > known).any(0) & plain
     some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten().cpu() > 0
     # what a block has had, and, in steps of a factor of 4, how much f changes in it

@@ -54,7 +54,7 @@ class JumpCorrected(Estimator):
         return MODELS
 
     def locates(self, model: Tensor) -> bool:
-        return located(model)
+        return bool(located(model).any())
 
     def check(self, task: Task) -> None:
         if math.isinf(max(task.filter.radius)):

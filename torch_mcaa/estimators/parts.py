@@ -21,6 +21,7 @@ from torch_mcaa.estimators.lattice.lattice_weights import Geometry
 from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound, Look
 from torch_mcaa.estimators.located.counted import Counted, Precision
 from torch_mcaa.estimators.located.jump_corrector import Corrector
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
 from torch_mcaa.estimators.located.owner import Owner
 from torch_mcaa.estimators.narrow import SOME, held
 from torch_mcaa.grid import Cell
@@ -42,8 +43,6 @@ PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT, DRAWN = range(7)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
-FEWEST_LINES = 3
-"""Of a lattice whose jumps are to be located."""
 _COLUMNS = 16
 """A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 _STEP = 0.25
@@ -54,9 +53,9 @@ _CROSSED = 1 << 14
 """The lines that an edge may cross in a cell: what is kept of it grows with them."""
 
 
-def located(model: Tensor) -> bool:
-    """Whether jumps were located in any pixel."""
-    return bool(((model == LOCATED) | (model == FINER)).any())
+def located(model: Tensor) -> Tensor:
+    """In which pixels jumps were located."""
+    return (model == LOCATED) | (model == FINER)
 
 
 def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:

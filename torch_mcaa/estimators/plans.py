@@ -11,7 +11,8 @@ from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.blocks import BLOCK, shape_of, sizes_of
 from torch_mcaa.estimators.located.jump_corrector import STEPS
-from torch_mcaa.estimators.parts import FEWEST_LINES, lines_for
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
+from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
 
 _ENOUGH_LINES = 5

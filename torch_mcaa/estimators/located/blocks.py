@@ -37,10 +37,14 @@ def sizes_of(cell: Cell) -> Tensor:
 
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     """The block of the cell (S,), counted row by row, that each segment begins in, or the one that is nearest."""
-    x, y = placed(segments.axis, segments.low, segments.across)
-    row = (y.floor().long() - cell.row).clamp(0, cell.height - 1) // BLOCK
-    col = (x.floor().long() - cell.col).clamp(0, cell.width - 1) // BLOCK
-    return row * shape_of(cell)[1] + col
+    row, col = pixels_of(cell, segments.axis, segments.low, segments.across)
+    return row // BLOCK * shape_of(cell)[1] + col // BLOCK
+
+
+def pixels_of(cell: Cell, axis: int, along: Tensor, across: Tensor) -> tuple[Tensor, Tensor]:
+    """The row and the column (N,) in the cell of the pixel that each place on lines along `axis` lies in, or of the one that is nearest."""
+    x, y = placed(axis, along, across)
+    return (y.floor().long() - cell.row).clamp(0, cell.height - 1), (x.floor().long() - cell.col).clamp(0, cell.width - 1)
 
 
 def deciding(cell: Cell, found: Sequence[Segments]) -> Tensor:

@@ -28,6 +28,8 @@ from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
 
+FEWEST_LINES = 3
+"""Of a lattice whose jumps are to be located."""
 _PREFERRED = 1.15
 """What the horizontal lines' density of jumps is multiplied by, so that chance does not choose where both are alike."""
 _CORE = 0.03

@@ -10,9 +10,8 @@ from torch import Tensor
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.corrected import Corrected, merged
 from torch_mcaa.estimators.located.counted import Spent
-from torch_mcaa.estimators.located.jump_level import Leveller
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES, Leveller
 
-_FEWEST = 3
 AROUND = 5
 """Px: how far from where samples hit a piece it is looked for."""
 _SAFE = 0.9
@@ -31,7 +30,7 @@ def sparser(work: Leveller, count: int, wanted: Tensor, unpaid: float) -> Correc
     pixels = int(dilated(wanted, work.window.halo).count_nonzero())
     fewer = min(count, int(_SAFE * work.ask.left / (2 * (pixels + unpaid / count))))
     fewer -= 1 - fewer % 2
-    if fewer < _FEWEST:
+    if fewer < FEWEST_LINES:
         return None
     work.thin.lost = torch.zeros_like(work.thin.lost)
     try:

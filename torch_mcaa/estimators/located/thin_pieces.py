@@ -5,14 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import Crossings, placed
+from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pieces import Numbered
 from torch_mcaa.edges.thin import beside, complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.lattice.audit import tile_means
-from torch_mcaa.estimators.located.blocks import BLOCK, by_pixel
+from torch_mcaa.estimators.located.blocks import BLOCK, by_pixel, pixels_of
 from torch_mcaa.estimators.located.counted import Counted, Spent
 
 FIRST = 0.45
@@ -81,10 +81,8 @@ class ThinPieces:
 
     def _lose(self, hit: Crossings) -> None:
         """Leave the blocks with crossings to sampling."""
-        x, y = placed(hit.axis, hit.place, hit.across)
-        row, col = y.floor().long() - self.cell.row, x.floor().long() - self.cell.col
         hits = torch.zeros_like(self.lost)
-        hits[row.clamp(0, self.cell.height - 1), col.clamp(0, self.cell.width - 1)] = True
+        hits[pixels_of(self.cell, hit.axis, hit.place, hit.across)] = True
         self.hits = self.hits | hits
         self.lost = self.lost | by_pixel(tile_means(hits.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
 
