@@ -22,7 +22,8 @@ _GRAIN = 2**15
 _WHOLE = 256
 # One call of f on a CPU sees at most this many points: few enough to stay in the cache, enough to pay for the call.
 BLOCK = 4 * _GRAIN // (12 * _WHOLE) * (12 * _WHOLE)
-_WIDE = 16
+_WIDE, _CALLED = 64, 16
+"""What another device works on at once, and gives to one call of f, in blocks. What a call of a network keeps is hundreds of times its points."""
 
 
 def width_of(device: torch.device) -> int:
@@ -58,11 +59,25 @@ class Integrand:
             McaaError: f raised (chained, with the block's place); it returned another shape, dtype, device or number of channels than
                 it may; it returned NaN or an infinity under nonfinite="raise" (the first place is named).
         """
+        values = self._called(x, y)
+        if self.nonfinite == "raise":
+            for channel, value in enumerate(values):
+                # the sum is a cheap test that may cry wolf, on overflow
+                if not math.isfinite(value.sum().item()) and not bool(torch.isfinite(value).all()):
+                    first = tuple((~torch.isfinite(value)).nonzero()[0].tolist())
+                    raise McaaError(
+                        f"f returned {float(value[first])} at x = {float(x[first]):.9g}, y = {float(y.expand(x.shape)[first]):.9g} "
+                        f"(channel {channel}); mend f, or pass nonfinite='ignore' or 'propagate'"
+                    )
+        return values
+
+    def _called(self, x: Tensor, y: Tensor) -> list[Tensor]:
+        """f's channels, whatever they are, by as many calls as the points need."""
         shape, count = x.shape, x.numel()
-        block = BLOCK * width_of(x.device)
+        block = BLOCK * min(width_of(x.device), _CALLED)
         if count > block and shape[0] > 1:
             step = max(1, block * shape[0] // count)
-            parts = [self(a, b) for a, b in zip(x.split(step), y.expand(shape).split(step), strict=True)]
+            parts = [self._called(a, b) for a, b in zip(x.split(step), y.expand(shape).split(step), strict=True)]
             return [torch.cat(channel) for channel in zip(*parts, strict=True)]
         x, y = _flat(x, shape), _flat(y, shape)
         self.evaluations += x.numel()
@@ -77,15 +92,6 @@ class Integrand:
                 f"f returned {len(values)} channels where it had returned {self.channels}; return the same number at each call"
             )
         self.channels = len(values)
-        if self.nonfinite == "raise":
-            for channel, value in enumerate(values):
-                # the sum is a cheap test that may cry wolf, on overflow
-                if not math.isfinite(value.sum().item()) and not bool(torch.isfinite(value).all()):
-                    first = int((~torch.isfinite(value)).reshape(-1).nonzero()[0])
-                    raise McaaError(
-                        f"f returned {float(value.reshape(-1)[first])} at x = {float(x[first]):.9g}, "
-                        f"y = {float(y[first]):.9g} (channel {channel}); mend f, or pass nonfinite='ignore' or 'propagate'"
-                    )
         return values
 
     @staticmethod

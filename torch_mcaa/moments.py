@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_mcaa.sums import add_rows
+
 
 @dataclass(frozen=True)
 class Moments:
@@ -51,11 +53,11 @@ class Moments:
         index = stratum.expand_as(terms)
         zeros = terms.new_zeros(len(terms), *count.shape)
         clean = terms if valid is None else torch.where(valid, terms, 0)
-        mean = zeros.scatter_add(1, index, clean) / count
+        mean = add_rows(zeros.clone(), stratum, clean) / count
         deviation = (terms - mean.gather(1, index)).square_()
         if valid is not None:
             deviation = torch.where(valid, deviation, 0)
-        return cls(count, mean, zeros.scatter_add(1, index, deviation))
+        return cls(count, mean, add_rows(zeros, stratum, deviation))
 
     def merge(self, other: Moments) -> Moments:
         """The moments of both sets of terms together."""

@@ -12,6 +12,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments, brackets
 from torch_mcaa.edges.lines import Ask
 from torch_mcaa.edges.picking import numbers, pick
+from torch_mcaa.sums import add_at
 
 BRACKET = 2.0**-7
 """Px: what is wider is no bracket of a jump, but a part of a steep step."""
@@ -244,6 +245,6 @@ class _Bisection:
     def _whole(self, root: Tensor, jump: Tensor, width: Tensor) -> Tensor:
         """Which segments (S,) change by what was found in them; the others also change smoothly, or in too many places: they stay as they are."""
         change = self.after - self.before
-        rest = change.index_add(1, root, jump, alpha=-1).abs()
-        steep = torch.zeros_like(self.low).index_add_(0, root, width) <= _SMOOTH
+        rest = add_at(change.clone(), root, -jump).abs()
+        steep = add_at(torch.zeros_like(self.low), root, width) <= _SMOOTH
         return (rest <= _MISSED * change.abs().amax(0)).all(0) & steep

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.lines import Differences, Samples
 from torch_mcaa.edges.picking import numbers
+from torch_mcaa.integrand import width_of
 
 _TIMES = 3.0
 _AROUND = 4
@@ -23,9 +24,9 @@ _MANY = 0.02
 _ROW, _COL = 0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F
 """Odd numbers that no small differences of rows and columns cancel, modulo 2^64."""
 _AT_ONCE = 1 << 17
-"""Samples whose differences are held at a time."""
+"""Samples whose differences a CPU holds at a time."""
 _WINDOWS = 1 << 14
-"""Differences whose neighbours are held at a time."""
+"""Differences whose neighbours a CPU holds at a time."""
 _FOLLOWED = 0.2
 """A part of a segment may hold a jump while its change is over this share of the segment's."""
 
@@ -92,10 +93,11 @@ def candidates(samples: Samples, axis: int) -> Segments:
     values = samples.values
     # one by one: along a dimension it is several times slower
     span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if v.numel() else v.new_zeros(()) for v in values])
-    if values.numel() <= _AT_ONCE:
+    most = _AT_ONCE * width_of(values.device)
+    if values.numel() <= most:
         return _candidates(samples, axis, span)
     # a few lines after the other: differences take more than the samples
-    step, parts = max(1, _AT_ONCE * samples.count // values.numel()), []
+    step, parts = max(1, most * samples.count // values.numel()), []
     for first in range(0, samples.count, step):
         part = _candidates(samples.some(slice(first, first + step)), axis, span)
         part.key[:, 0] += first
@@ -113,7 +115,8 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
         some = differences.pruned(some, _TIMES)
     flat = some.flatten().nonzero()[:, 0]
     channel, index = flat // max(1, size.shape[1]), flat % max(1, size.shape[1])
-    parts = zip(channel.split(_WINDOWS), index.split(_WINDOWS), strict=True)
+    windows = _WINDOWS * width_of(size.device)
+    parts = zip(channel.split(windows), index.split(windows), strict=True)
     chosen = torch.cat([_stands_out(differences, *part) for part in parts])
     # from here on what is no candidate counts as no difference
     if many:

@@ -13,6 +13,8 @@ from torch_mcaa.edges.missed import missed
 from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import Filter, SeparableFilter
+from torch_mcaa.integrand import width_of
+from torch_mcaa.sums import add_at
 
 _AT_ONCE = 1 << 11
 
@@ -48,7 +50,7 @@ class Window:
         channels = len(crossings.before)
         total, spread, seen = (self.zeros(pixels, count) for count in (channels, channels, 1))
         crossings = crossings.take(self.reaching(pixels, crossings.axis, crossings.place, crossings.across))
-        for at in slices(len(crossings)):
+        for at in slices(crossings.place):
             part = crossings.take(at)
             along, across = part.place, part.across
             near, beside = along.floor().long()[:, None] + self.offsets, across.floor().long()[:, None] + self.offsets
@@ -56,13 +58,13 @@ class Window:
             weight, doubt = self._weights(part, along[:, None] - near - 0.5, across[:, None] - beside - 0.5)
             weight /= norm
             size = part.jump.abs().amax(0).to(torch.float64)
-            seen[0].index_add_(0, index, (size[:, None, None] * doubt).abs_().view(-1))
+            add_at(seen[0], index, (size[:, None, None] * doubt).abs_().view(-1))
             # a part of a continuous step changes all over, and has its middle near its own
             width = torch.where(part.width > BRACKET, part.width / 3, part.width)
             doubt *= (width / (math.sqrt(12) * norm))[:, None, None]
             for channel, jump in enumerate(part.jump.to(torch.float64)):
-                total[channel].index_add_(0, index, (jump[:, None, None] * weight).view(-1))
-                spread[channel].index_add_(0, index, (jump[:, None, None] * doubt).square_().view(-1))
+                add_at(total[channel], index, (jump[:, None, None] * weight).view(-1))
+                add_at(spread[channel], index, (jump[:, None, None] * doubt).square_().view(-1))
         return total[:, :-1], spread[:, :-1], seen[0, :-1]
 
     def density(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
@@ -71,7 +73,7 @@ class Window:
         some = self.reaching(pixels, axis, along, across)
         along, across, size = (pick(each, some) for each in (along, across, size))
         places = placed(axis, along, across)
-        for at in slices(len(size)):
+        for at in slices(size):
             x, y = (place[at] for place in places)
             cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
             dx, dy = x[:, None] - cols - 0.5, y[:, None] - rows - 0.5
@@ -79,7 +81,7 @@ class Window:
                 weight = outer(self.filter.profile(dy).abs() * size[at, None], self.filter.profile(dx).abs())
             else:
                 weight = self.filter(dx[:, None], dy[:, :, None]).abs() * size[at, None, None]
-            total.index_add_(0, pair(pixels, rows, cols), weight.view(-1))
+            add_at(total, pair(pixels, rows, cols), weight.view(-1))
         return total[:-1]
 
     def reaching(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> Tensor:
@@ -108,9 +110,10 @@ class Window:
         return (outer(side, beyond), outer(side, density)) if axis == 0 else (outer(beyond, side), outer(density, side))
 
 
-def slices(count: int) -> Iterator[slice]:
-    """Of so many places: each adds to all the pixels around it, and of few at a time that can be held."""
-    return (slice(start, start + _AT_ONCE) for start in range(0, count, _AT_ONCE))
+def slices(places: Tensor) -> Iterator[slice]:
+    """Of places (N,): each adds to all the pixels around it, and of few at a time that can be held."""
+    step = _AT_ONCE * width_of(places.device)
+    return (slice(start, start + step) for start in range(0, len(places), step))
 
 
 def pair(pixels: Pixels, rows: Tensor, cols: Tensor) -> Tensor:

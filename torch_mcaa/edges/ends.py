@@ -19,6 +19,7 @@ from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import SeparableFilter
+from torch_mcaa.sums import add_at
 
 _FLAT = 0.1
 """The slope below which an edge lies along lines. Steeper ones cross them often enough for L to be smooth."""
@@ -36,7 +37,7 @@ def ends(window: Window, pixels: Pixels, crossings: Crossings, lines: Lines) -> 
         (across[:, None] + torch.arange(-window.reach - 1, window.reach + 2, device=window.device) - 0.5).flatten()
     ).values
     scale = norm(lines, filter, window.halo)
-    for at in slices(len(part)):
+    for at in slices(part.place):
         some = part.take(at)
         near, beside = some.place.floor().long()[:, None] + window.offsets, some.across.floor().long()[:, None] + window.offsets
         offset, side = some.place[:, None] - near - 0.5, some.across[:, None] - beside - 0.5
@@ -51,7 +52,7 @@ def ends(window: Window, pixels: Pixels, crossings: Crossings, lines: Lines) -> 
             weights = missed(filter, crossings.axis, offset, side, line[None], 1 / lines.count)
         weights /= scale
         for channel, jump in enumerate(some.jump.to(torch.float64)):
-            total[channel].index_add_(0, index, (jump[:, None, None] * weights).view(-1))
+            add_at(total[channel], index, (jump[:, None, None] * weights).view(-1))
     return total[:, :-1]
 
 

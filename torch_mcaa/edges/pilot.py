@@ -12,6 +12,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.sums import add_at
 
 _PILOT = 0x91107
 _FINEST = 2.0**-8
@@ -119,7 +120,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
                 (peaks, size * (~has & look.some.single)),
                 (alone, size * (still & look.some.single)),
             ):
-                total += torch.bincount(where, weights=seen, minlength=parts)
+                total += add_at(torch.zeros_like(total), where, seen)
     verdict = torch.full_like(tried, Verdict.JUMPS)
     chance = _CHANCE / torch.bincount(torch.cat(part), minlength=parts).clamp_min(1)
     noise = (wrong > (_MISPREDICTED + chance) * jumped) | (unseen > (_UNSEEN + chance) * beside + _ALONE * alone)
@@ -213,7 +214,7 @@ class _Look:
         end = torch.minimum(crossings.place - low, high - crossings.place)
         thin = self._steep(crossings) & self.some.single[crossings.segment]
         where = self.where[crossings.segment[thin]]
-        known, total = torch.bincount(where, minlength=parts), torch.bincount(where, weights=end[thin], minlength=parts)
+        known, total = torch.bincount(where, minlength=parts), add_at(end.new_zeros(parts), where, end[thin])
         return self.hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1)
 
     def surprised(self, value: Tensor) -> Tensor:
@@ -224,7 +225,7 @@ class _Look:
         """Where f at the random place is not what the jumps before it tell."""
         told = self.some.before.clone()
         passed = crossings.place < self.place[crossings.segment]
-        told.index_add_(1, crossings.segment[passed], crossings.jump[:, passed])
+        add_at(told, crossings.segment[passed], crossings.jump[:, passed])
         return (value - told).abs().amax(0) > 0.35 * self.size
 
 
@@ -238,7 +239,7 @@ def _steep(segments: Segments, crossings: Crossings, where: Tensor, parts: int) 
     """Which segments (S,) hold a continuous step that is to be treated as a jump, or several: a short one, and not the end of a ramp."""
     size = (segments.after - segments.before).abs().amax(0)
     largest = size.new_zeros(parts).scatter_reduce_(0, where, size, "amax")[where]
-    change = torch.zeros_like(segments.before).index_add_(1, crossings.segment, crossings.jump).abs().amax(0)
+    change = add_at(torch.zeros_like(segments.before), crossings.segment, crossings.jump).abs().amax(0)
     first = torch.full_like(segments.low, torch.inf).scatter_reduce_(0, crossings.segment, crossings.place, "amin")
     last = torch.full_like(segments.low, -torch.inf).scatter_reduce_(0, crossings.segment, crossings.place, "amax")
     return (change > 0.5 * size) & (size > 0.5 * largest) & (last - first <= _STEEP)

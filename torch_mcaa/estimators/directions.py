@@ -14,6 +14,7 @@ from torch_mcaa.estimators.located.blocks import BLOCK, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.turned import DIRECTIONS
+from torch_mcaa.sums import add_at
 
 _KNOWN = 4
 """Jumps whose edges were met again that tell a block's directions."""
@@ -45,7 +46,7 @@ def directions(values: Tensor, row: int, col: int, cell: Cell) -> Tensor:
     label = (i[:, None] * wide + j) * DIRECTIONS + direction
     total = torch.zeros(tall * wide * DIRECTIONS, dtype=torch.float64, device=values.device)
     for here, power in zip(label, (across.square() + down.square()).square(), strict=True):
-        total.index_add_(0, here.flatten(), power.flatten())
+        add_at(total, here.flatten(), power.flatten())
     return total.view(-1, DIRECTIONS)
 
 

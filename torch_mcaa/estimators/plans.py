@@ -81,7 +81,7 @@ def plans_of(
     lines = torch.where(lines < fewest, 0, lines)
     if plain and fewest <= FEWEST_LINES:
         lines[_thin_too(lines, cost, share, steps, judged, pixels)] = FEWEST_LINES
-    labels = [-1 if done is not None and done[b] else int(count) for b, count in enumerate(lines)]
+    labels = (lines if done is None else lines.masked_fill(done, -1)).tolist()
     rectangles, label = cell.rectangles(BLOCK, labels), torch.tensor(labels)
     return [
         Plan(

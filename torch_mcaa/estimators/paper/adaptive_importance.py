@@ -18,6 +18,7 @@ from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Sequential, com
 from torch_mcaa.filters import Filter
 from torch_mcaa.filters.moments import variance as filter_variance
 from torch_mcaa.patterns import Pattern, Sobol
+from torch_mcaa.sums import add_rows
 
 _DEFENSIVE = 0.25
 """Share of every round that is drawn from |w|: no weight is above integral |w| over it."""
@@ -112,7 +113,7 @@ class _Bins(_Model):
     def learn(self, values: Tensor) -> None:
         squares = values.square().mean(0)
         self.count.flatten(0, 1).scatter_add_(0, self.bins, torch.ones_like(squares))
-        self.squares.flatten(0, 1).scatter_add_(0, self.bins, squares)
+        add_rows(self.squares.flatten(0, 1), self.bins, squares)
         # the neighbours' values count as one more point, since a bin that happened to hold none, or a dark one, says little
         around = _box3(self.squares) / _box3(self.count).clamp_min(1)
         density = ((self.squares + around) / (self.count + 1)).sqrt()
