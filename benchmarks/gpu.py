@@ -44,7 +44,7 @@ def colours(x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
 SCENES = {"disc": disc, "zone plate": zone_plate, "three channels": colours}
 
 
-def seconds(work: Callable[[], object], repeats: int = 9) -> float:
+def seconds(work: Callable[[], object], repeats: int = 15) -> float:
     """The median time of `work` on the device, host included, after two warm-ups."""
     times = []
     for number in range(repeats + 2):
@@ -95,23 +95,20 @@ def captured(f: Callable[..., object], size: int, spp: int) -> tuple[float, int]
     return seconds(graph.replay), fused.strips * inputs[0].numel()
 
 
-def measure(name: str, size: int, spp: int, copied: float) -> dict[str, object]:
+def rates(name: str, size: int, spp: int, compile: bool) -> dict[str, float]:
+    """Samples a second of whole pictures: of `Shared` and `Auto` by eager blocks, or of `Shared` compiled and its graph alone, captured."""
     f = SCENES[name]
-    row: dict[str, object] = {"scene": name, "size": size, "spp": spp, "f alone": function_rate(f)}
-    for way, compile in (("eager", False), ("compiled", True)):
-        picture: list[mcaa.Rendering] = []
 
-        def render(compile: bool = compile, picture: list[mcaa.Rendering] = picture) -> None:
-            picture[:] = [mcaa.render(f, (size, size), estimator=Shared(), spp=spp, compile=compile, device="cuda", progress=False)]
+    def rate(estimator: mcaa.Estimator, repeats: int) -> float:
+        def render() -> None:
+            mcaa.render(f, (size, size), estimator=estimator, spp=spp, compile=compile, device="cuda", progress=False)
 
-        row[way] = size * size * spp / seconds(render)
-    row["auto"] = size * size * spp / seconds(lambda: mcaa.render(f, (size, size), spp=spp, device="cuda", progress=False), 3)
+        return size * size * spp / seconds(render, repeats)
+
+    if not compile:
+        return {"eager": rate(Shared(), 15), "auto": rate(mcaa.Auto(), 5)}
     took, samples = captured(f, size, spp)
-    row["captured"] = samples / took
-    # a sample is written once and read for the taps, the two sums along x written and read
-    channels = 3 if name == "three channels" else 1
-    row["memory"] = copied / (6 * 4 * channels)
-    return row
+    return {"compiled": rate(Shared(), 15), "captured": samples / took}
 
 
 def main() -> None:
@@ -122,19 +119,22 @@ def main() -> None:
         raise SystemExit("benchmarks/gpu.py needs a CUDA device, and there is none here")
     torch.set_grad_enabled(False)
     copied = copy_rate()
+    tasks = [(name, size, 16) for name in SCENES for size in (1024, 4096)]
+    # first what is not compiled: the compiler's helpers take the processor while they start
+    eager = [rates(*task, compile=False) for task in tasks]
+    alone = {name: function_rate(f) for name, f in SCENES.items()}
     rows = []
     print(f"{torch.cuda.get_device_name()}, torch {torch.__version__}; copy: {copied / 1e12:.2f} TB/s\n")
     print(
         "| 10⁹ samples a second | eager | compiled | captured | `Auto` | ceiling: f alone | ceiling: memory |\n|---|---|---|---|---|---|---|"
     )
-    for name in SCENES:
-        for size, spp in ((1024, 16), (4096, 16)):
-            row = measure(name, size, spp, copied)
-            rows.append(row)
-            rates = " | ".join(
-                f"{float(str(row[key])) / 1e9:.2f}" for key in ("eager", "compiled", "captured", "auto", "f alone", "memory")
-            )
-            print(f"| {name} {size}², {spp} | {rates} |", flush=True)
+    for (name, size, spp), plain in zip(tasks, eager, strict=True):
+        # a sample is written once and read for the taps, the two sums along x written and read
+        memory = copied / (6 * 4 * (3 if name == "three channels" else 1))
+        found = {"f alone": alone[name], **plain, **rates(name, size, spp, compile=True), "memory": memory}
+        rows.append({"scene": name, "size": size, "spp": spp, **found})
+        shown = " | ".join(f"{found[key] / 1e9:.2f}" for key in ("eager", "compiled", "captured", "auto", "f alone", "memory"))
+        print(f"| {name} {size}², {spp} | {shown} |", flush=True)
     arguments.output.parent.mkdir(exist_ok=True)
     facts = {
         "card": torch.cuda.get_device_name(),

@@ -178,7 +178,9 @@ def test_same_gradients_again(device: str, estimator: mcaa.Estimator) -> None:
     for _ in range(3):
         radius = torch.tensor(20.0, dtype=torch.float64, device=device, requires_grad=True)
         layer = mcaa.Supersampler((300, 400), estimator=estimator).to(device, torch.float64)
-        layer(lambda x, y, r=radius: torch.where(torch.hypot(x - 40.3, y - 30.8) < r, 0.1 * r, torch.sin(0.1 * x))).square().sum().backward()
+        layer(
+            lambda x, y, r=radius: torch.where(torch.hypot(x - 40.3, y - 30.8) < r, 0.1 * r, torch.sin(0.1 * x))
+        ).square().sum().backward()
         found.append(radius.grad)
     assert torch.equal(found[0], found[1]) and torch.equal(found[0], found[2])
 

@@ -10,8 +10,11 @@ from torch import Tensor
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound
 from torch_mcaa.grid import Cell
-from torch_mcaa.integrand import BLOCK
+from torch_mcaa.integrand import BLOCK, width_of
 from torch_mcaa.patterns.lattice import Strip
+
+_TAPED = 4
+"""Blocks of samples of which another device than a CPU keeps a tape at a time: a network's is some thousand numbers a point."""
 
 
 def strip_of(task: Task, spp: int) -> Strip:
@@ -48,11 +51,11 @@ class Samples:
         return padded[:, strips.start * period : strips.stop * period + 2 * self.reach]
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
-        """Strips and planes of at most about BLOCK samples."""
-        count = self.strip.count
+        """Strips and planes of samples whose tape is kept at a time."""
+        count, block = self.strip.count, BLOCK * min(width_of(self.task.device), _TAPED)
         # as equal parts as can be, so that no number of samples makes larger blocks than another
-        planes = -(-count // -(-count * self.cols // BLOCK))
-        strips = max(1, BLOCK // (self.cols * planes))
+        planes = -(-count // -(-count * self.cols // block))
+        strips = max(1, block // (self.cols * planes))
         for strip in range(0, self.strips, strips):
             for plane in range(0, count, planes):
                 yield slice(strip, min(strip + strips, self.strips)), slice(plane, min(plane + planes, count))

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Cell, Screen
-from torch_mcaa.integrand import Function, Integrand
+from torch_mcaa.integrand import Function, Integrand, width_of
 from torch_mcaa.traced.program import Program
 from torch_mcaa.traced.trace import Lanes, Site, Traced, changed_program
 from torch_mcaa.traced.visitors import Signatures
 
-AT_ONCE = 12 * 256 * 8
-"""Points of one call."""
+_AT_ONCE = 12 * 256 * 8
+"""Points of one call on a CPU."""
 Tally = Callable[[Tensor, Tensor], None]
 """Told the columns and rows (N,) of every place that f is asked at."""
 V = TypeVar("V", bound=Callable[[int, Lanes, Site], None])
@@ -38,6 +38,11 @@ class Asked:
         self.coarse = screen.coordinate_dtype(Cell(0, 0, screen.height, screen.width), dtype)
         self.channels = 1
 
+    @property
+    def at_once(self) -> int:
+        """Points of one call."""
+        return _AT_ONCE * width_of(self.device)
+
     def signatures(self, col: Tensor, row: Tensor) -> Tensor:
         """(N,) int64."""
         return self.values(col, row)[1]
@@ -47,7 +52,7 @@ class Asked:
         if len(col) == 0:
             return torch.zeros(self.channels, 0, dtype=torch.float64, device=self.device), col.to(torch.int64)
         found = []
-        for c, r in zip(col.split(AT_ONCE), row.split(AT_ONCE), strict=True):
+        for c, r in zip(col.split(self.at_once), row.split(self.at_once), strict=True):
             values, seen = self.run(c, r, lambda: Signatures(self.device))
             found.append((values, seen.signatures(len(c))))
         return torch.cat([v for v, _ in found], 1), torch.cat([s for _, s in found])

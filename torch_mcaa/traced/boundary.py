@@ -19,7 +19,7 @@ from torch import Tensor
 from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
-from torch_mcaa.traced.asked import AT_ONCE, Asked, Tally
+from torch_mcaa.traced.asked import Asked, Tally
 from torch_mcaa.traced.once import zero_with_gradient
 from torch_mcaa.traced.program import Program, probe
 from torch_mcaa.traced.refine import Changes, chosen, refined
@@ -194,8 +194,8 @@ def margins(function: Function, screen: Screen, elements: Elements) -> Tensor:
     asked = Asked(function, screen, elements.program, elements.precision, elements.col.device, None)
     asked.precision = elements.precision
     found = []
-    for start in range(0, len(elements), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
+    for start in range(0, len(elements), asked.at_once):
+        part = slice(start, start + asked.at_once)
         cause, branch = elements.cause[part], elements.branch[part]
         with torch.enable_grad():
             _, seen = asked.run(elements.at[0, part], elements.at[1, part], _margins(cause, branch))

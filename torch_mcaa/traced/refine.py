@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.traced.asked import AT_ONCE, Asked
+from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.derivatives import derivatives
 from torch_mcaa.traced.scan import Brackets, Segments, joined
 from torch_mcaa.traced.visitors import MANY, Causes, Margins
@@ -198,8 +198,8 @@ def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor
     """(N,) signatures, and margins of the segments' causes, at a place in each."""
     found = []
     col, row = segments.brackets.places(place)
-    for start in range(0, len(place), AT_ONCE):
-        part = slice(start, start + AT_ONCE)
+    for start in range(0, len(place), asked.at_once):
+        part = slice(start, start + asked.at_once)
         cause, branch = segments.cause[part], segments.branch[part]
         _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b, False))
         found.append((seen.signatures(len(cause)), seen.total.detach()))
@@ -211,9 +211,9 @@ def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor
 
 def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
     """f again at the ends of brackets, with what changes between them and, if `sloped`, its margin's derivatives."""
-    parts = []
-    for start in range(0, max(1, len(brackets)), AT_ONCE // 2):
-        part = brackets.take(torch.arange(start, min(start + AT_ONCE // 2, len(brackets)), device=asked.device))
+    parts, step = [], asked.at_once // 2
+    for start in range(0, max(1, len(brackets)), step):
+        part = brackets.take(torch.arange(start, min(start + step, len(brackets)), device=asked.device))
         count = len(part)
         if count == 0:
             none = part.low.new_zeros

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.traced.asked import AT_ONCE, Asked
+from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.visitors import Causes
 
 _SCAN, _THINNED = 0x5CA2, 0x7417
@@ -137,7 +137,7 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
         phase = rng.uniform(seed, _SCAN, axis, pixel, number, dtype=torch.float64).to(asked.device)
         begin = along[0] - (along[0] <= 0)
         start = torch.arange(begin - 1, along[1] + 2, device=asked.device)
-        many = max(1, AT_ONCE // len(start))
+        many = max(1, asked.at_once // len(start))
         for first in range(0, len(lie), many):
             part = slice(first, first + many)
             place = start + phase[part, None]

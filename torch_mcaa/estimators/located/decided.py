@@ -13,7 +13,6 @@ from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.estimators.located.blocks import deciding, told
 from torch_mcaa.estimators.located.counted import Counted
 from torch_mcaa.grid import Cell
-from torch_mcaa.traced.asked import AT_ONCE
 from torch_mcaa.traced.refine import located
 from torch_mcaa.traced.scan import Brackets
 from torch_mcaa.traced.scan import Segments as Differing
@@ -75,9 +74,9 @@ def _differing(ask: Counted, segments: Segments) -> Differing:
     none = torch.zeros_like(number)
     flat, whole = torch.full_like(number, segments.axis), torch.ones_like(segments.low)
     brackets = Brackets(flat, segments.across, segments.low, segments.high, none, none, number, none == 0, whole, none)
-    seen = []
-    for start in range(0, count, AT_ONCE // 2):
-        part = brackets.take(number[start : start + AT_ONCE // 2])
+    seen, step = [], ask.decisions.at_once // 2
+    for start in range(0, count, step):
+        part = brackets.take(number[start : start + step])
         col, row = part.places(torch.stack([part.low, part.high]))
         n = len(part)
         seen.append(ask.decisions.run(col.flatten(), row.flatten(), lambda n=n: Causes((2, n), 0, False, ask.decisions.device))[1])
