@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments, brackets
 from torch_mcaa.edges.lines import Ask
-from torch_mcaa.edges.picking import numbers, pick
+from torch_mcaa.picking import numbers, pick
 from torch_mcaa.sums import add_at
 
 BRACKET = 2.0**-7

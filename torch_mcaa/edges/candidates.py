@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.lines import Differences, Samples
-from torch_mcaa.edges.picking import numbers
 from torch_mcaa.integrand import width_of
+from torch_mcaa.picking import numbers
 
 _TIMES = 3.0
 _AROUND = 4

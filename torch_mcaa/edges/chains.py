@@ -12,8 +12,8 @@ from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
 from torch_mcaa.edges.candidates import Segments, brackets
 from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.edges.lines import Ask, Lines
-from torch_mcaa.edges.picking import numbers, pick
 from torch_mcaa.edges.pieces import SHORT, Numbered, inside, pieces_of, place_of
+from torch_mcaa.picking import numbers, pick
 
 _STREAM = 0xC4A1
 _STEEPEST = 1.7

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from torch_mcaa.edges.bisect import BRACKET, Crossings, placed
 from torch_mcaa.edges.missed import missed
-from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import Filter, SeparableFilter
 from torch_mcaa.integrand import width_of
+from torch_mcaa.picking import pick
 from torch_mcaa.sums import add_at
 
 _AT_ONCE = 1 << 11

@@ -15,10 +15,10 @@ from torch_mcaa.edges.bisect import Crossings
 from torch_mcaa.edges.correction import Window, outer, pair, slices
 from torch_mcaa.edges.lines import Lines, norm
 from torch_mcaa.edges.missed import missed
-from torch_mcaa.edges.picking import pick
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
 from torch_mcaa.edges.pixels import Pixels
 from torch_mcaa.filters.base import SeparableFilter
+from torch_mcaa.picking import pick
 from torch_mcaa.sums import add_at
 
 _FLAT = 0.1

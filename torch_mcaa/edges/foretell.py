@@ -12,7 +12,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
-from torch_mcaa.edges.picking import numbers, pick
+from torch_mcaa.picking import numbers, pick
 
 _STREAM = 0xF0E7
 _WITHIN = 2.0**-9

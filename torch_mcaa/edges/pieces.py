@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.lines import Lines
-from torch_mcaa.edges.picking import numbers, pick
+from torch_mcaa.picking import numbers, pick
 
 SHORT = 1.5
 """Px: longer pieces than this are on the next line for certain, unless they end."""

@@ -7,7 +7,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.picking import pick
+from torch_mcaa.picking import pick
 
 
 class Pixels:

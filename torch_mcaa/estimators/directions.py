@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.normals import REACH, slopes
-from torch_mcaa.edges.picking import numbers
 from torch_mcaa.edges.pilot import Judged
 from torch_mcaa.estimators.located.blocks import BLOCK, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.turned import DIRECTIONS
+from torch_mcaa.picking import numbers
 from torch_mcaa.sums import add_at
 
 _KNOWN = 4

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.picking import numbers, pick
 from torch_mcaa.traced.asked import Asked
 
 _AUDIT = 0xA0D17
@@ -50,7 +51,8 @@ class Pieces:
 
     def take(self, index: Tensor) -> Pieces:
         """Those at `index`, integers or bool."""
-        return Pieces(*(getattr(self, name)[..., index] for name in self.__dataclass_fields__))
+        index = numbers(index)
+        return Pieces(*(pick(getattr(self, name), index) for name in self.__dataclass_fields__))
 
     def halved(self, asked: Asked, steps: int) -> Pieces:
         """The half along which f changes most of the half ..., of those where f decides alike at all places asked."""

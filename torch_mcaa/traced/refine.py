@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.picking import numbers, pick
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.derivatives import derivatives
 from torch_mcaa.traced.scan import Brackets, Segments, joined
@@ -25,6 +26,8 @@ _DEARER = 4
 """Of the segments that may be followed, one in so many may be quartered at once, which costs most."""
 _TIMES = 100
 """A margin that changes so many times more than its slope explains is not continuous."""
+_LAST = ("signatures", "values", "cause", "margin", "slope", "behind", "rival")
+"""What `Changes` has along the last axis."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +71,10 @@ class Changes:
 
     def take(self, index: Tensor) -> Changes:
         """Those at `index`, integers or bool."""
+        index = numbers(index)
+        signatures, values, cause, margin, slope, behind, rival = (pick(getattr(self, name), index) for name in _LAST)
         return Changes(
-            self.brackets.take(index),
-            self.signatures[:, index],
-            self.values[..., index],
-            self.cause[index],
-            self.branch[index],
-            self.margin[:, index],
-            self.slope[..., index],
-            self.behind[index],
-            self.rival[index],
+            self.brackets.take(index), signatures, values, cause, self.branch.index_select(0, index), margin, slope, behind, rival
         )
 
 
@@ -213,7 +210,7 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
     """f again at the ends of brackets, with what changes between them and, if `sloped`, its margin's derivatives."""
     parts, step = [], asked.at_once // 2
     for start in range(0, max(1, len(brackets)), step):
-        part = brackets.take(torch.arange(start, min(start + step, len(brackets)), device=asked.device))
+        part = brackets.some(slice(start, start + step))
         count = len(part)
         if count == 0:
             none = part.low.new_zeros
@@ -258,9 +255,6 @@ def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
 
 
 def _joined(parts: list[Changes]) -> Changes:
-    signatures, values, cause, margin, slope, behind, rival = (
-        torch.cat([getattr(p, name) for p in parts], -1)
-        for name in ("signatures", "values", "cause", "margin", "slope", "behind", "rival")
-    )
+    signatures, values, cause, margin, slope, behind, rival = (torch.cat([getattr(p, name) for p in parts], -1) for name in _LAST)
     branch = torch.cat([p.branch for p in parts])
     return Changes(joined([p.brackets for p in parts]), signatures, values, cause, branch, margin, slope, behind, rival)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
+from torch_mcaa.picking import numbers, pick
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.visitors import Causes
 
@@ -46,20 +47,22 @@ class Brackets:
 
     def take(self, index: Tensor) -> Brackets:
         """Those at `index`, integers or bool."""
-        return Brackets(*(getattr(self, field.name)[index] for field in fields(self)))
+        index = numbers(index)
+        return Brackets(*(pick(getattr(self, field.name), index) for field in fields(self)))
+
+    def some(self, part: slice) -> Brackets:
+        """A run of them."""
+        return Brackets(*(getattr(self, field.name)[part] for field in fields(self)))
 
     def split(self, places: Tensor, signatures: Tensor) -> Brackets:
         """The parts that still hold a change when all are cut at K places (K, N), in order, where the signatures are (K, N)."""
         ends = torch.cat([self.low[None], places, self.high[None]])
         codes = torch.cat([self.before[None], signatures, self.after[None]])
         part, which = (codes[1:] != codes[:-1]).nonzero().unbind(1)
-        return replace(
-            self.take(which),
-            low=ends[part, which],
-            high=ends[part + 1, which],
-            before=codes[part, which],
-            after=codes[part + 1, which],
-        )
+        first = part * len(self) + which
+        low, high = (pick(ends.view(-1), at) for at in (first, first + len(self)))
+        before, after = (pick(codes.view(-1), at) for at in (first, first + len(self)))
+        return replace(self.take(which), low=low, high=high, before=before, after=after)
 
     def thinned(self, most: int, seed: int) -> Brackets:
         """`most` of them at random, if there are more."""
@@ -99,15 +102,11 @@ class Segments:
 
     def take(self, index: Tensor, chance: Tensor | float = 1.0) -> Segments:
         """Those at `index`, integers or bool, that were kept with a probability of `chance`."""
+        index = numbers(index)
         kept = self.brackets.take(index)
-        return Segments(
-            replace(kept, chance=kept.chance * chance),
-            self.cause[index],
-            self.differing[index],
-            self.branch[index],
-            self.margin[:, index],
-            self.change[index],
-        )
+        cause, differing, margin, change = (pick(each, index) for each in (self.cause, self.differing, self.margin, self.change))
+        branch = self.branch.index_select(0, index)
+        return Segments(replace(kept, chance=kept.chance * chance), cause, differing, branch, margin, change)
 
     def by_lines(self, most: int) -> Iterator[Segments]:
         """All the segments of some lines after those of others, about `most` at a time; at least once."""

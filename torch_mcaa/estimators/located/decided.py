@@ -76,7 +76,7 @@ def _differing(ask: Counted, segments: Segments) -> Differing:
     brackets = Brackets(flat, segments.across, segments.low, segments.high, none, none, number, none == 0, whole, none)
     seen, step = [], ask.decisions.at_once // 2
     for start in range(0, count, step):
-        part = brackets.take(number[start : start + step])
+        part = brackets.some(slice(start, start + step))
         col, row = part.places(torch.stack([part.low, part.high]))
         n = len(part)
         seen.append(ask.decisions.run(col.flatten(), row.flatten(), lambda n=n: Causes((2, n), 0, False, ask.decisions.device))[1])
