@@ -39,13 +39,20 @@ def complete(
     if len(crossings) < 2:
         return crossings
     grid = Numbered(lines, crossings.axis)
+
+    def short(pieces: Pieces) -> Tensor:
+        """Which pieces are to be followed."""
+        return (pieces.width < SHORT) & inside(
+            wanted, origin, grid.axis, (pieces.first + pieces.second) / 2, grid.across(pieces.line)
+        )
+
     pieces, ends = pieces_of(crossings, grid)
     for mended in (_narrowed, _opened):
-        before, crossings = crossings, mended(ask, crossings, pieces, ends, grid, finest, seed)
+        some = short(pieces)
+        before, crossings = crossings, mended(ask, crossings, pieces.take(some), ends[some], grid, finest, seed)
         if crossings is not before:
             pieces, ends = pieces_of(crossings, grid)
-    known = Known(pieces)
-    start = pieces.width < SHORT
+    known, start = Known(pieces), short(pieces)
     # a parallel piece close by is another one: what continues this one overlaps it, or nearly
     slack = torch.minimum(pieces.width / 2, torch.full_like(pieces.first, STEEPEST / grid.count))
     work = Walk(ask, grid, known, wanted, origin, finest, seed)
@@ -118,10 +125,10 @@ def _without(count: int, ends: Tensor) -> Tensor:
     return kept.nonzero()[:, 0]
 
 
-def _narrowed(ask: Ask, crossings: Crossings, pieces: Pieces, ends: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
+def _narrowed(ask: Ask, crossings: Crossings, _: Pieces, ends: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
     """With the ends of short pieces known as exactly as their slopes, over a part of their width, ask for."""
     blunt = torch.zeros(len(crossings), dtype=torch.bool, device=crossings.place.device)
-    blunt[ends[pieces.width < SHORT]] = True
+    blunt[ends] = True
     blunt &= (crossings.width > 2 * finest) & (crossings.width <= BRACKET)
     if not bool(blunt.any()):
         return crossings
@@ -132,7 +139,7 @@ def _narrowed(ask: Ask, crossings: Crossings, pieces: Pieces, ends: Tensor, grid
 
 def _opened(ask: Ask, crossings: Crossings, pieces: Pieces, _: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
     """With the crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
-    pieces = pieces.take(((pieces.width < SHORT) & (pieces.width > _PROBES_APART)).nonzero()[:, 0])
+    pieces = pieces.take(pieces.width > _PROBES_APART)
     if len(pieces) == 0:
         return crossings
     apart, across = pieces.width / (_PROBES + 1), grid.across(pieces.line)

@@ -22,7 +22,7 @@ _SMALL = 1e-4
 
 
 class Poor(NamedTuple):
-    """A rectangle that is not known well enough, how many evaluations a pixel it has had, and the spread of neighbouring samples in it."""
+    """A rectangle that is not known well enough, how many evaluations a pixel it has had, and the spread of f in it."""
 
     where: Cell
     had: int
@@ -46,7 +46,7 @@ def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: in
 def poorest_of(part: Part, cell: Cell, spread: Tensor) -> list[Poor]:
     """The rectangles of a cell's `part`, from `Parts.joined`, with pixels whose jumps were not located and that are not known well enough.
 
-    spread: (blocks,), that of neighbouring samples.
+    spread: (blocks,), in the place of the standard deviation.
     """
     value, variance, density = part.value, part.variance, torch.as_tensor(part.density)
     finite = value.nan_to_num(0.0, 0.0, 0.0)

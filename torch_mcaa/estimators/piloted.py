@@ -15,6 +15,7 @@ from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.base import Estimate, Round, Task, dilated
+from torch_mcaa.estimators.differences import Differences
 from torch_mcaa.estimators.directions import directions, faced
 from torch_mcaa.estimators.further import poorest_of, sampled_first, sampled_further
 from torch_mcaa.estimators.lattice.audit import tile_means
@@ -41,19 +42,15 @@ _FEW = 256
 _MARGIN, _RESERVED = 1.2, 0.9
 """What a part whose jumps are located may cost over what is expected where others are sampled plainly, which have what it leaves; and the
 part of their own share that these keep in any case."""
-_LEAST = 1e-4
-"""What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
 _MARGINS = 0.75
 """What a crossing takes that margins locate, in parts of what bisection takes."""
-_TEXTURE = 0.01
-"""The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
 
 
 class _Seen(NamedTuple):
     """What is known of the blocks of a cell after its pilot.
 
     Attributes:
-        jumping: which are known to jump, decisions aside. texture: whether f has detail everywhere. spread: of neighbouring samples.
+        jumping: which are known to jump, decisions aside.
         samples: (C, H, W), one in each pixel, and the row and column of the first.
         counts: under a tolerance how many points a pixel a lattice needs, in the first round.
         done: blocks that are known well enough already, and what these and the attempt at others have `taken`.
@@ -61,8 +58,7 @@ class _Seen(NamedTuple):
 
     judged: Judged
     jumping: Tensor
-    texture: Tensor
-    spread: Tensor
+    differences: Differences
     samples: tuple[Tensor, int, int]
     counts: Tensor | None
     done: list[tuple[Cell, Part]]
@@ -116,11 +112,11 @@ class PilotedRound(Round):
         audits = 0 if self.plain else pixels
         second = 2 * Window.halo_of(self.task.filter) + 1
         judged, done = seen.judged, seen.done
-        smooth = torch.zeros_like(seen.texture)
+        smooth, texture = torch.zeros_like(seen.jumping), seen.differences.texture
         for where, _ in done:
             smooth[blocks_in(cell, where)] = True
         most = None if self.most is None else self.most - -(-seen.taken // pixels)
-        plans = plans_of(cell, judged, seen.texture, ask.left - audits, self.plain, second, most or 0, smooth, self.parts.fewest)
+        plans = plans_of(cell, judged, texture, ask.left - audits, self.plain, second, most or 0, smooth, self.parts.fewest)
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
@@ -140,7 +136,8 @@ class PilotedRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            poorest = poorest_of(part, cell, seen.spread)
+            _, spread, noisy = seen.differences
+            poorest = poorest_of(part, cell, torch.where(judged.verdict == Verdict.NOISE, noisy, 1) * spread)
             if poorest:
                 edges, left = self._edges(seen, part, cell, left)
                 sampled_further(self.parts, part, cell, poorest, edges, left, None if most is None else self.spp)
@@ -206,20 +203,11 @@ class PilotedRound(Round):
             assert self.most is not None
             grid = None if resolved is None or parts.random else Grid(*place)
             counts, done, taken = self.resolved.seen(ask, cell, values, grid, judged.verdict, self.most - self.spp)
-        span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
-        steps = [
-            torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
-            for dim, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))
-        ]
-        # a median above a number: more than half are
-        texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
-        spread = (_LEAST + torch.maximum(*(tile_means(step.square(), BLOCK, BLOCK) for step in steps))).sqrt()
         # a few numbers a block, of which the CPU makes plans
         return _Seen(
             judged.cpu(),
             jumping.cpu(),
-            texture.flatten().cpu(),
-            spread.flatten().to("cpu", torch.float64),
+            Differences.of(values),
             samples,
             counts,
             done,

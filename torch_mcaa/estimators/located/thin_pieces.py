@@ -22,6 +22,8 @@ THINNEST = 2.0**-12
 _TIMES, _WALK = 4.0, 0.1
 """What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
 on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
+_ATTEMPTS, _DEAREST = 3, 0.25
+"""How often they are tried to be followed, each time without the blocks that took half of it if these are at most such a share of all."""
 
 
 class ThinPieces:
@@ -60,24 +62,41 @@ class ThinPieces:
         """The crossings with thin pieces followed, and none; or, where that takes more than a share of what is left, or goes astray, those
         without the pieces that samples hit, and those.
         """
+        none = crossings.take(slice(0))
         if not thin_pieces(crossings, lines):
-            return crossings, crossings.take(slice(0))
-        wanted, origin = widened(used & ~self.lost, self.reach), (self.cell.row - self.reach, self.cell.col - self.reach)
-        without, hit, cost = unfollowed(crossings, lines, wanted, origin, foretold)
-        share = 1.0 if foretold else FIRST
-        if cost <= share * self.ask.left:
-            before = self.ask.left
+            return crossings, none
+        origin, share = (self.cell.row - self.reach, self.cell.col - self.reach), 1.0 if foretold else FIRST
+        attempts = _ATTEMPTS
+        while True:
+            wanted = widened(used & ~self.lost, self.reach)
+            without, hit, cost = unfollowed(crossings, lines, wanted, origin, foretold)
+            if cost > share * self.ask.left:
+                self.unpaid += cost
+                return without, hit
+            before, points = self.ask.left, self.ask.points.clone()
             limit = (_TIMES * max(cost, self._took[crossings.axis]) + walk) / max(1, before)
             try:
                 with self.ask.keeping(1 - min(share, limit)):
                     crossings = complete(self.ask, crossings, lines, wanted, origin, finest, seed)
                 self._took[crossings.axis] = before - self.ask.left
-                return crossings, crossings.take(slice(0))
+                return crossings, none
             except Spent:
-                pass
-        else:
-            self.unpaid += cost
-        return without, hit
+                attempts -= 1
+                if not attempts or not self._without_dearest(self.ask.points - points):
+                    return without, hit
+
+    def _without_dearest(self, points: Tensor) -> bool:
+        """Leave to sampling the blocks that took more than half of the evaluations `points` (h, w), if they are few of those that took any."""
+        took = tile_means(points.to(torch.float64), BLOCK, BLOCK)
+        order = torch.argsort(took.flatten(), descending=True)
+        total = took.flatten()[order].cumsum(0)
+        few = 1 + int((total < total[-1] / 2).count_nonzero())
+        if few > _DEAREST * int(took.count_nonzero()):
+            return False
+        dear = torch.zeros_like(took, dtype=torch.bool)
+        dear.view(-1)[order[:few]] = True
+        self.lost = self.lost | by_pixel(dear, self.cell)
+        return True
 
     def _lose(self, hit: Crossings) -> None:
         """Leave the blocks with crossings to sampling."""
