@@ -7,6 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_mcaa.edges.pilot import Verdict
 from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK
 
@@ -14,9 +15,14 @@ _LEAST = 1e-4
 """What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
 _TEXTURE = 0.01
 """The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
-_TOGETHER, _NOISY = 0.25, 8.0
-"""In noise half of the differences come side by side. From the first share on they count for more: a lattice errs by three times as much there
-as on edges between samples that differ as much."""
+_ALONE, _NOISY = -0.25, 8.0
+"""The correlation of a difference with the next is -0.5 in noise and about 0 where edges lie alone. From the first on differences count for more:
+on noise a lattice errs by three times as much as on edges."""
+_WAVES, _BETWEEN = 0.64, 0.1
+"""The mean product of the sizes of a difference and the next, in mean squares, that fast tones have at least, and how much less is noise for certain:
+that of two colours has 0.5."""
+_SMOOTH, _RESOLVED = 0.3, 0.25
+"""From this correlation on f is smooth: what differences count for where it does not jump, too."""
 
 
 class Differences(NamedTuple):
@@ -24,26 +30,35 @@ class Differences(NamedTuple):
 
     Attributes:
         texture: bool, whether f has detail everywhere. spread: float64, the root of the mean square difference, in ranges of the cell.
-        noisy: float64, how many times as far a lattice is expected to be off where f is noise as on edges of the same spread.
+        correlation, together: float64, the mean product of a difference and the next, and that of their sizes, in mean squares.
     """
 
     texture: Tensor
     spread: Tensor
-    noisy: Tensor
+    correlation: Tensor
+    together: Tensor
 
     @staticmethod
     def of(values: Tensor) -> Differences:
         """Of samples (C, h, w), one in each pixel of a cell."""
         span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
-        steps = [
-            torch.nn.functional.pad((torch.diff(values, dim=dim) / span).abs().amax(0), pad)
-            for dim, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))
-        ]
-        squares = [tile_means(step.square(), BLOCK, BLOCK) for step in steps]
-        pairs = [tile_means(step * step.roll(1, dim), BLOCK, BLOCK) for dim, step in enumerate(steps)]
+        steps = [torch.nn.functional.pad(torch.diff(values / span, dim=d), pad) for d, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))]
+        largest = [step.abs().amax(0) for step in steps]
         # a median above a number: more than half are
-        texture = torch.maximum(*(tile_means((step > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for step in steps)) > 0.5
-        together = torch.maximum(*(pair / square.clamp_min(1e-12) for pair, square in zip(pairs, squares, strict=True)))
-        noisy = 1 + _NOISY * (together - _TOGETHER).clamp_min(0)
-        spread = (_LEAST + torch.maximum(*squares)).sqrt()
-        return Differences(texture.flatten().cpu(), *(t.flatten().to("cpu", torch.float64) for t in (spread, noisy)))
+        texture = torch.maximum(*(tile_means((size > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for size in largest)) > 0.5
+        spread = (_LEAST + torch.maximum(*(tile_means(size.square(), BLOCK, BLOCK) for size in largest))).sqrt()
+        nexts = [step * step.roll(1, d) for d, step in enumerate(steps, 1)]
+        signed, unsigned, square = (
+            tile_means(torch.cat(parts).sum(0), BLOCK, BLOCK)
+            for parts in (nexts, [part.abs() for part in nexts], [step.square() for step in steps])
+        )
+        square.clamp_min_(torch.finfo(values.dtype).tiny)
+        numbers = (spread, signed / square, unsigned / square)
+        return Differences(texture.flatten().cpu(), *(t.flatten().to("cpu", torch.float64) for t in numbers))
+
+    def doubt(self, verdict: Tensor) -> Tensor:
+        """(blocks,) float64: how far off lattices of as many points are expected to be, in any unit, in blocks of these verdicts."""
+        changes = verdict >= Verdict.NOISE
+        noise = (_ALONE - self.correlation).clamp_min(0) * ((_WAVES - self.together) / _BETWEEN).clamp(0, 1)
+        factor = torch.where(changes, 1 + _NOISY * noise, 1)
+        return self.spread * torch.where(~changes & (self.correlation > _SMOOTH), _RESOLVED, factor)

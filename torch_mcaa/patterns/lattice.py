@@ -18,7 +18,8 @@ from torch_mcaa.patterns.lattice_table import STRIPS
 # Their sum alone is 3 times the variance on an edge across a dual vector (the sum over j >= 0 of 2 (j + 1/2)^-2 against that over j >= 1 of
 # 2 j^-2) and on white noise, 7 times it on edges of all directions (n^-1.5 at a quarter of the points). 6.5 is measured: the 95 % interval
 # then covers 0.93 to 1.0 of the pixels on edges, discs and lines under Gaussians of 0.35 to 1 px and the box (`benchmarks/accuracy.py`).
-CHARACTER_RATIO = 6.5
+# Of noise it is 3.
+CHARACTER_RATIO, NOISE_RATIO = 6.5, 3.0
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,13 @@
 
 One point for each strip and column, at a random place in the lattice's unit cell around a sample. Where f is resolved it differs from that
 sample no more than the most different of the sample's four neighbours does; in white noise it differs more one time in five. Where it
-differs more than one time in three, over a tile of the screen, the lattice is blind there, and half the points' mean squared difference
-is the variance.
+differs more than two times in five, over a tile of the screen, the lattice is blind there, and half the points' mean squared difference
+is the variance. Where it differs up to one time in five, that much of f is taken for noise, on which a lattice does no better than chance.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +22,20 @@ from torch_mcaa.patterns.lattice import Strip
 
 _AUDIT = 0xA0D17
 _POINTS = 48
+_NOISE, _BLIND = 1 / 5, 2 / 5
+"""How often points differ more in noise, and over a tile of all the points where the lattice is blind."""
+
+
+class Seen(NamedTuple):
+    """What the audit tells of a cell, (h, w) each.
+
+    Attributes:
+        blind: the variance of what the lattice does not see, 0 where it resolves f.
+        noise: the part of f that is noise, 0 to 1.
+    """
+
+    blind: Tensor
+    noise: Tensor
 
 
 class Audit:
@@ -55,8 +71,8 @@ class Audit:
         y = (self.strip.y[self.reference] + a * basis[0, 1] + b * basis[1, 1]).clamp(row, row + 1 - 2.0**-20)
         return cols + x, strips * self.strip.period + y
 
-    def variance(self, cell: Cell, at: Geometry, audited: Tensor, held: dict[int, Tensor]) -> Tensor:
-        """(h, w): the variance that the audit adds, 0 where the lattice resolves f. `audited` and the held planes are (strips, cols)."""
+    def seen(self, cell: Cell, at: Geometry, audited: Tensor, held: dict[int, Tensor]) -> Seen:
+        """Of f at the audit's points, `audited` (strips, cols), and in the held planes, as large."""
         reference = held[self.reference]
         seen = (audited - reference).square()
         most = torch.zeros_like(seen)
@@ -66,17 +82,30 @@ class Audit:
             torch.maximum(inner, (there - here).square(), out=inner)
         return self.judged(cell, at, seen, (seen > most).to(seen.dtype))
 
-    def judged(self, cell: Cell, at: Geometry, seen: Tensor, more: Tensor) -> Tensor:
-        """(h, w): the same from the squared differences `seen` and where these are more than the neighbours' (1, else 0), (strips, cols)."""
+    def judged(self, cell: Cell, at: Geometry, seen: Tensor, more: Tensor) -> Seen:
+        """The same from the squared differences `seen` and where these are more than the neighbours' (1, else 0), (strips, cols)."""
         tall = max(1, min(round(7 / self.strip.period), at.strips))
         wide = min(-(-_POINTS // tall), at.cols)
-        blind = tile_means(more, tall, wide) > 1 / 3
-        if not bool(blind.any()):
-            return seen.new_zeros(()).expand(cell.height, cell.width)
-        power = torch.where(blind, tile_means(seen, tall, wide) / 2, 0.0)
-        plane = power.repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)
+        share = tile_means(more, tall, wide)
+        if not bool(share.any()):
+            none = seen.new_zeros(()).expand(cell.height, cell.width)
+            return Seen(none, none)
+        # tiles that are cut hold fewer points, of which chance decides more
+        rows, cols = (
+            (size - torch.arange(0, size, step, device=share.device)).clamp_max(step)
+            for size, step in zip(more.shape, (tall, wide), strict=True)
+        )
+        most = _NOISE + (_BLIND - _NOISE) * (tall * wide / (rows[:, None] * cols)).sqrt()
+        power = torch.where(share > most, tile_means(seen, tall, wide) / 2, 0.0)
         top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
-        return plane[top : top + cell.height, left : left + cell.width]
+        return Seen(
+            *(
+                part.repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)[
+                    top : top + cell.height, left : left + cell.width
+                ]
+                for part in (power, (share / _NOISE).clamp_max(1))
+            )
+        )
 
 
 def _shifted(plane: Tensor, down: int, right: int) -> Tensor:

@@ -14,14 +14,14 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.compiling import NotCompiled
 from torch_mcaa.estimators.base import Estimate, Round, Task, pooled, settled, unseen
-from torch_mcaa.estimators.lattice.audit import Audit
+from torch_mcaa.estimators.lattice.audit import Audit, Seen
 from torch_mcaa.estimators.lattice.fused import Fused
 from torch_mcaa.estimators.lattice.lattice_weights import Geometry, LatticeWeights
 from torch_mcaa.estimators.lattice.poles import Poles
 from torch_mcaa.estimators.lattice.splat import Splat, Sums
 from torch_mcaa.estimators.located.sides import sides
 from torch_mcaa.grid import Cell
-from torch_mcaa.patterns.lattice import CHARACTER_RATIO, Lattice
+from torch_mcaa.patterns.lattice import CHARACTER_RATIO, NOISE_RATIO, Lattice
 
 _SHIFT = 0x5F1F7
 _SPLATS = 4
@@ -122,18 +122,14 @@ class LatticeRound(Round):
         at = self.weights.geometry(cell)
         splat = self._splat(cell, at)
         poles = Poles(task, cell, self.per_pixel, self.order)
-        value, power, extra, left, invalid = self._sums(cell, at, splat, None, poles, look)
+        value, power, seen, left, invalid = self._sums(cell, at, splat, None, poles, look)
         if invalid is not None:
             # samples that are not finite count as 0; each pixel learns what share of its weights, or of their moduli, is left
             weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
             masks = Splat(weights, cell, at, contrast=False)
             poles = Poles(task, cell, self.per_pixel, self.order)
-            value, power, extra, left, invalid = self._sums(cell, at, splat, masks, poles, look)
-        variance = torch.zeros_like(value)
-        if power is not None:
-            variance = pooled(power).mul_(1 / CHARACTER_RATIO)
-            if extra is not None:
-                variance.add_(extra)
+            value, power, seen, left, invalid = self._sums(cell, at, splat, masks, poles, look)
+        variance, blind = (torch.zeros_like(value), None) if power is None else _variance(power, seen)
         if left is not None:
             if task.integrand.nonfinite == "propagate":
                 value = torch.where(left > 1 - 1e-5, value, torch.nan)
@@ -144,7 +140,6 @@ class LatticeRound(Round):
         heavy = poles.heavy(partial(self._row, cell, at))
         if invalid is None:
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
-        blind = extra if extra is not None and bool((extra > 0).any()) else None
         return Measured(value, variance, invalid, heavy, blind)
 
     def _by_graph(self, cell: Cell) -> Measured | None:
@@ -160,12 +155,9 @@ class LatticeRound(Round):
             return None
         if not math.isfinite(found.norms.sum().item()):
             return None
-        variance, blind = pooled(found.power).mul_(1 / CHARACTER_RATIO), None
-        if self.audit is not None:
-            extra = torch.stack([self.audit.judged(cell, at, s, m) for s, m in zip(found.seen, found.more, strict=True)])
-            if bool((extra > 0).any()):
-                blind = extra
-                variance.add_(extra)
+        audit = self.audit
+        seen = [] if audit is None else [audit.judged(cell, at, s, m) for s, m in zip(found.seen, found.more, strict=True)]
+        variance, blind = _variance(found.power, seen)
         poles = Poles(task, cell, self.per_pixel, self.order)
         for channel in range(len(found.norms)):
             poles.note(channel, found.norms[channel])
@@ -187,8 +179,8 @@ class LatticeRound(Round):
 
     def _sums(
         self, cell: Cell, at: Geometry, splat: Splat, masks: Splat | None, poles: Poles, look: Look | None
-    ) -> tuple[Tensor, Tensor | None, Tensor | None, Tensor | None, Tensor | None]:
-        """Values (C, h, w), squared character sums (C, h, w), the audit's variance (C, h, w), share of weights left (h, w), and counts.
+    ) -> tuple[Tensor, Tensor | None, list[Seen], Tensor | None, Tensor | None]:
+        """Values (C, h, w), squared character sums (C, h, w), what the audit sees, share of weights left (h, w), and counts.
 
         Without `masks` the first sample that is not finite ends the work, and the counts are a tensor without content. With them such
         samples are 0, and the weights of the others and of all are summed too.
@@ -218,7 +210,7 @@ class LatticeRound(Round):
                 shape = (at.strips, len(x), at.cols)
                 values, bad = evaluate(cols[None, :] + x[:, None], (rows[:, None] + y)[:, :, None], shape)
                 if bad is not None and counts is None:
-                    return values[0], None, None, None, torch.empty(0)
+                    return values[0], None, [], None, torch.empty(0)
                 if bad is not None and counts is not None:
                     places = (torch.arange(at.strips)[:, None] * strip.period + y.long()).flatten().to(task.device)
                     counts.index_add_(0, places, bad.flatten(0, 1).to(torch.int32))
@@ -243,15 +235,15 @@ class LatticeRound(Round):
             if masks is not None and finite is not None and full is not None:
                 masks.add(full, masks.batches[number])
                 masks.add(finite, masks.batches[number])
-        extra = None
+        seen: list[Seen] = []
         if self.audit is not None:
             values, bad = evaluate(*self.audit.places(at), (at.strips, at.cols))
             values = values[: task.integrand.channels]
             if bad is not None and counts is None:
-                return values[0], None, None, None, torch.empty(0)
+                return values[0], None, [], None, torch.empty(0)
             if bad is not None and counts is not None:
                 counts[self.audit.row() :: strip.period] += bad.to(torch.int32)
-            extra = torch.stack([self.audit.variance(cell, at, v, h) for v, h in zip(values, held, strict=True)])
+            seen = [self.audit.seen(cell, at, v, h) for v, h in zip(values, held, strict=True)]
         finished = [splat.finish(s) for s in sums]
         powers = [power for _, power in finished if power is not None]
         if counts is not None:
@@ -260,7 +252,7 @@ class LatticeRound(Round):
         left = None
         if masks is not None and finite is not None and full is not None:
             left = masks.finish(finite)[0] / masks.finish(full)[0]
-        return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, extra, left, counts
+        return torch.stack([value for value, _ in finished]), torch.stack(powers) if powers else None, seen, left, counts
 
     def _row(self, cell: Cell, at: Geometry, strips: Tensor, planes: Tensor, channel: int) -> tuple[Tensor, Tensor, Tensor]:
         """Some rows of samples again, for `Poles`: kept, they would be all of them."""
@@ -279,6 +271,18 @@ class LatticeRound(Round):
         if self.task.boundary == "extend":
             return row
         return row.clamp(0, self.task.screen.height * (1 - 2.0**-50))
+
+
+def _variance(power: Tensor, seen: list[Seen]) -> tuple[Tensor, Tensor | None]:
+    """That of the values (C, h, w), from the squared character sums and what an audit, if there is one, saw of each channel; and its part of it."""
+    variance = pooled(power)
+    if not seen:
+        return variance.mul_(1 / CHARACTER_RATIO), None
+    variance.mul_(1 / CHARACTER_RATIO + (1 / NOISE_RATIO - 1 / CHARACTER_RATIO) * torch.stack([s.noise for s in seen]))
+    blind = torch.stack([s.blind for s in seen])
+    if not bool((blind > 0).any()):
+        return variance, None
+    return variance.add_(blind), blind
 
 
 class ReplicatedRound(Round):
