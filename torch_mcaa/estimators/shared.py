@@ -24,8 +24,8 @@ class Shared(Estimator):
     """Points spread over the whole screen, each weighed with w for every pixel it serves.
 
     With a `Lattice` the weights are the same for all pixels and the estimate is a convolution. Its standard error comes from the sums over
-    the cosets of the lattice's double, pooled over 3 x 3 pixels, and from one point in each strip off the lattice, which sees a tone on
-    the dual vectors. Other patterns report their own standard error for the points of each source pixel. A filter narrower than a pixel that
+    the cosets of the lattice's double, pooled over 3 x 3 pixels, and from one point in each strip off the lattice, which sees noise and
+    tones on the dual vectors. Other patterns report their own standard error for the points of each source pixel. A filter narrower than a pixel that
     on average holds fewer than 2 points is refused.
 
     Attributes:
