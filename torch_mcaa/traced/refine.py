@@ -146,7 +146,7 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
     )
     root = torch.where((root >= one.low) & (root <= one.high), root, (one.low + one.high) / 2)
     near = replace(one, low=torch.maximum(one.low, root - _NARROW / 2), high=torch.minimum(one.high, root + _NARROW / 2))
-    tried = _examined(asked, near, sloped)
+    tried = _examined(asked, near) if sloped else _foreseen(asked, near, pick(found.cause, numbers(single)), found.branch[single])
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
@@ -244,6 +244,34 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
             )
         )
     return _joined(parts)
+
+
+def _foreseen(asked: Asked, brackets: Brackets, cause: Tensor, branch: Tensor) -> Changes:
+    """The same without slopes, if what changes between the ends is what is expected to: the margins are of that cause."""
+    if len(brackets) == 0:
+        return _examined(asked, brackets, False)
+    place, step = torch.stack([brackets.low, brackets.high]), asked.at_once // 2
+    values, signatures, margin = [], [], []
+    for start in range(0, len(brackets), step):
+        part = slice(start, start + step)
+        col, row = brackets.some(part).places(place[:, part])
+        causes, branches = cause[part].repeat(2), branch[part].repeat(2, 1)
+        value, seen = asked.run(col.flatten(), row.flatten(), lambda c=causes, b=branches: Margins(c, b, False))
+        values.append(value.unflatten(1, (2, -1)))
+        signatures.append(seen.signatures(col.numel()).view(2, -1))
+        margin.append(seen.total.view(2, -1))
+    none = torch.zeros(2, 2, len(brackets), dtype=place.dtype, device=place.device)
+    return Changes(
+        brackets,
+        torch.cat(signatures, 1),
+        torch.cat(values, 2),
+        cause,
+        branch,
+        torch.cat(margin, 1),
+        none,
+        none[0, 0] > 0,
+        torch.full_like(cause, -1),
+    )
 
 
 def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:
