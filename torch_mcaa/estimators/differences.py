@@ -22,7 +22,7 @@ _WAVES, _BETWEEN = 0.64, 0.1
 """The mean product of the sizes of a difference and the next, in mean squares, that fast tones have at least, and how much less is noise for certain:
 that of two colours has 0.5."""
 _SMOOTH, _RESOLVED = 0.3, 0.25
-"""From this correlation on f is smooth: what differences count for where it does not jump, too."""
+"""From this correlation on f is smooth, if it has detail everywhere: what differences count for where it does not jump, too."""
 
 
 class Differences(NamedTuple):
@@ -61,4 +61,5 @@ class Differences(NamedTuple):
         changes = verdict >= Verdict.NOISE
         noise = (_ALONE - self.correlation).clamp_min(0) * ((_WAVES - self.together) / _BETWEEN).clamp(0, 1)
         factor = torch.where(changes, 1 + _NOISY * noise, 1)
-        return self.spread * torch.where(~changes & (self.correlation > _SMOOTH), _RESOLVED, factor)
+        smooth = ~changes & self.texture & (self.correlation > _SMOOTH)
+        return self.spread * torch.where(smooth, _RESOLVED, factor)
