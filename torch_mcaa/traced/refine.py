@@ -129,7 +129,7 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
     """
     segments = found.brackets
     first = _straight(segments, found.margin)
-    signature, margin = _at(asked, found, first)
+    _, signature, margin = _at(asked, *segments.places(first), found.cause, found.branch)
     left, right = signature != segments.before, signature != segments.after
     several = segments.take(left & right)
     rest = [several.split(first[None, left & right], signature[None, left & right])]
@@ -191,19 +191,17 @@ def _parabola(segments: Brackets, first: Tensor, margin: Tensor, there: Tensor) 
     return low + first * (a * c / ((b - a) * (b - c))) + segments.high * (a * b / ((c - a) * (c - b)))
 
 
-def _at(asked: Asked, segments: Segments, place: Tensor) -> tuple[Tensor, Tensor]:
-    """(N,) signatures, and margins of the segments' causes, at a place in each."""
+def _at(asked: Asked, col: Tensor, row: Tensor, cause: Tensor, branch: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """f's values (C, N), (N,) signatures, and margins of the causes, at places (N,)."""
+    if len(col) == 0:
+        return col.new_zeros(asked.channels, 0), cause, col
     found = []
-    col, row = segments.brackets.places(place)
-    for start in range(0, len(place), asked.at_once):
+    for start in range(0, len(col), asked.at_once):
         part = slice(start, start + asked.at_once)
-        cause, branch = segments.cause[part], segments.branch[part]
-        _, seen = asked.run(col[part], row[part], lambda c=cause, b=branch: Margins(c, b, False))
-        found.append((seen.signatures(len(cause)), seen.total.detach()))
-    if not found:
-        return segments.brackets.before, place
-    signature, margin = (torch.cat(parts) for parts in zip(*found, strict=True))
-    return signature, margin
+        values, seen = asked.run(col[part], row[part], lambda c=cause[part], b=branch[part]: Margins(c, b, False))
+        found.append((values, seen.signatures(values.shape[1]), seen.total.detach()))
+    values, signature, margin = (torch.cat(parts, -1) for parts in zip(*found, strict=True))
+    return values, signature, margin
 
 
 def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
@@ -248,30 +246,12 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
 
 def _foreseen(asked: Asked, brackets: Brackets, cause: Tensor, branch: Tensor) -> Changes:
     """The same without slopes, if what changes between the ends is what is expected to: the margins are of that cause."""
-    if len(brackets) == 0:
-        return _examined(asked, brackets, False)
-    place, step = torch.stack([brackets.low, brackets.high]), asked.at_once // 2
-    values, signatures, margin = [], [], []
-    for start in range(0, len(brackets), step):
-        part = slice(start, start + step)
-        col, row = brackets.some(part).places(place[:, part])
-        causes, branches = cause[part].repeat(2), branch[part].repeat(2, 1)
-        value, seen = asked.run(col.flatten(), row.flatten(), lambda c=causes, b=branches: Margins(c, b, False))
-        values.append(value.unflatten(1, (2, -1)))
-        signatures.append(seen.signatures(col.numel()).view(2, -1))
-        margin.append(seen.total.view(2, -1))
-    none = torch.zeros(2, 2, len(brackets), dtype=place.dtype, device=place.device)
-    return Changes(
-        brackets,
-        torch.cat(signatures, 1),
-        torch.cat(values, 2),
-        cause,
-        branch,
-        torch.cat(margin, 1),
-        none,
-        none[0, 0] > 0,
-        torch.full_like(cause, -1),
+    col, row = (t.flatten() for t in brackets.places(torch.stack([brackets.low, brackets.high])))
+    values, signatures, margin = (
+        t.unflatten(-1, (2, len(brackets))) for t in _at(asked, col, row, cause.repeat(2), branch.repeat(2, 1))
     )
+    none = col.new_zeros(2, 2, len(brackets))
+    return Changes(brackets, signatures, values, cause, branch, margin, none, none[0, 0] > 0, torch.full_like(cause, -1))
 
 
 def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:

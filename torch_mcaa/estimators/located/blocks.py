@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_mcaa.edges.bisect import placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.estimators.base import dilated
+from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.grid import Cell
 
 BLOCK = 32
@@ -33,6 +34,11 @@ def rectangles_of(cell: Cell) -> Tensor:
 def sizes_of(cell: Cell) -> Tensor:
     """(blocks,) float64: the pixels of each block of a cell."""
     return rectangles_of(cell)[:, 2:].prod(1).to(torch.float64)
+
+
+def by_block(plane: Tensor, cell: Cell) -> Tensor:
+    """(blocks,) float64: the sums of a plane (h, w) of a cell over each block."""
+    return tile_means(plane.to(torch.float64), BLOCK, BLOCK).flatten() * sizes_of(cell).to(plane.device)
 
 
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:

@@ -12,8 +12,7 @@ from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.lattice.audit import tile_means
-from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_pixel, shape_of, sizes_of
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_block, by_pixel, shape_of, sizes_of
 from torch_mcaa.estimators.located.corrected import Corrected, beyond, merged
 from torch_mcaa.estimators.located.counted import Counted, Spent
 from torch_mcaa.estimators.located.jump_level import Axes, Level, Leveller
@@ -76,7 +75,7 @@ class Corrector:
         self.plain = plain.to(torch.float64)
         self.work = Leveller(ask, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
-        self.blocks, self.sizes = shape_of(ask.cell), sizes_of(ask.cell).to(allowed.device)
+        self.blocks = shape_of(ask.cell)
         self.most_steps = steps
         # where there are pieces that had to be left to sampling, and what it would have taken not to
         self.missed = torch.zeros_like(allowed), 0.0
@@ -125,7 +124,7 @@ class Corrector:
         segments = sum(len(s) for s in found)
         # as large as all that is to come
         del found, part, followed
-        first, known, checked = self._afforded(first, self._by_block((self.ask.points - before).to(torch.float64)))
+        first, known, checked = self._afforded(first, by_block(self.ask.points - before, self.cell))
         unknown = Corrected.of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
         if not bool(known.any()):
             return unknown
@@ -149,13 +148,13 @@ class Corrector:
         spent: (blocks,) what its crossings took.
         """
         # with thin pieces that could not be followed samples do as well as lines that miss them
-        whole = self._by_block(self.work.thin.lost.to(torch.float64)) == 0
+        whole = by_block(self.work.thin.lost, self.cell) == 0
         core = first.pixels.plane(first.core)
-        cost = _AGAIN * spent + self.base.count * self._by_block(dilated(core, 2).to(torch.float64))
+        cost = _AGAIN * spent + self.base.count * by_block(dilated(core, 2), self.cell)
         order = torch.argsort(cost)
         known = torch.zeros_like(cost, dtype=torch.bool)
         known[order] = (cost * whole)[order].cumsum(0) <= self.ask.left
-        size = self._by_block(torch.ones_like(self.plain[0]))
+        size = sizes_of(self.cell).to(cost.device)
         known &= whole
         at, checked = (first.pixels.rows, first.pixels.cols), self._spread_out(known)
         kept = self._spread_out(known | (whole & (spent <= _UNCHECKED * self.base.count * size)))[at]
@@ -172,13 +171,9 @@ class Corrector:
         pixels = first.pixels
         alone = (first.plain - pixels.of(second.pixels, second.plain, 0.0)).square() / 2
         worth = (self.base.count / (self.base.count + self.ask.left / max(1, int(self.allowed.count_nonzero())))) ** 1.5
-        better = self._by_block(pixels.plane(torch.where(first.core, worth * alone - variance, 0).sum(0))) >= 0
+        better = by_block(pixels.plane(torch.where(first.core, worth * alone - variance, 0).sum(0)), self.cell) >= 0
         kept = self._spread_out(better)[pixels.rows, pixels.cols]
         return replace(first, near=first.near & kept, core=first.core & kept)
-
-    def _by_block(self, plane: Tensor) -> Tensor:
-        """(blocks,): the sums of a plane (h, w) over each."""
-        return tile_means(plane, BLOCK, BLOCK).flatten() * self.sizes
 
     def _judged(self, found: list[Segments], part: list[Tensor]) -> Tensor:
         """The verdicts on the blocks, those that were judged before included."""

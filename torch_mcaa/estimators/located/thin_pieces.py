@@ -11,8 +11,7 @@ from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pieces import Numbered
 from torch_mcaa.edges.thin import beside, complete, thin_pieces, unfollowed
 from torch_mcaa.estimators.base import dilated
-from torch_mcaa.estimators.lattice.audit import tile_means
-from torch_mcaa.estimators.located.blocks import BLOCK, by_pixel, pixels_of
+from torch_mcaa.estimators.located.blocks import by_block, by_pixel, pixels_of, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent
 
 FIRST = 0.45
@@ -87,15 +86,15 @@ class ThinPieces:
 
     def _without_dearest(self, points: Tensor) -> bool:
         """Leave to sampling the blocks that took more than half of the evaluations `points` (h, w), if they are few of those that took any."""
-        took = tile_means(points.to(torch.float64), BLOCK, BLOCK)
-        order = torch.argsort(took.flatten(), descending=True)
-        total = took.flatten()[order].cumsum(0)
+        took = by_block(points, self.cell)
+        order = torch.argsort(took, descending=True)
+        total = took[order].cumsum(0)
         few = 1 + int((total < total[-1] / 2).count_nonzero())
         if few > _DEAREST * int(took.count_nonzero()):
             return False
         dear = torch.zeros_like(took, dtype=torch.bool)
-        dear.view(-1)[order[:few]] = True
-        self.lost = self.lost | by_pixel(dear, self.cell)
+        dear[order[:few]] = True
+        self.lost = self.lost | by_pixel(dear.view(shape_of(self.cell)), self.cell)
         return True
 
     def _lose(self, hit: Crossings) -> None:
@@ -103,7 +102,7 @@ class ThinPieces:
         hits = torch.zeros_like(self.lost)
         hits[pixels_of(self.cell, hit.axis, hit.place, hit.across)] = True
         self.hits = self.hits | hits
-        self.lost = self.lost | by_pixel(tile_means(hits.to(torch.float32), BLOCK, BLOCK) > 0, self.cell)
+        self.lost = self.lost | by_pixel((by_block(hits, self.cell) > 0).view(shape_of(self.cell)), self.cell)
 
 
 def widened(wanted: Tensor, by: int) -> Tensor:
