@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -122,12 +123,12 @@ def test_hooks_outside_hear_nothing() -> None:
 
 def test_tensors_that_come_later_are_refused() -> None:
     a, b = learned(), learned(2)
-    known = Dependencies((a,), True, 0)
+    known = Dependencies((a,), (a,), True, 0)
     check_reached([a * X], known)
     with pytest.raises(McaaError, match=r"of shape \(2,\)"):
         check_reached([a * X + b[0]], known)
     scaled = 3 * b
-    check_reached([scaled[0] * X], Dependencies((scaled,), True, 0))
+    check_reached([scaled[0] * X], Dependencies((scaled,), (scaled,), True, 0))
 
 
 def test_nothing_is_missed_in_a_branch() -> None:
@@ -140,3 +141,65 @@ def test_nothing_is_missed_in_a_branch() -> None:
 
     with pytest.raises(McaaError, match="not used them at the first ones"):
         layer(f).sum().backward()
+
+
+class Cached(torch.nn.Module):
+    """Uses a parameter and what it has computed from it before."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.tensor([2.0, 3.0]))
+        self.cached = self.weight.exp()
+
+    def forward(self, x: Tensor, y: Tensor) -> Tensor:
+        return torch.where(x < self.weight[1], self.weight[0] * x + self.cached[0], self.cached[1])
+
+
+def of_both(p: Tensor, q: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
+    return lambda x, y: q.flatten()[0] * x + torch.where(y < 3.7 + p[0], p[1], q.flatten()[1] * p[0])
+
+
+MADE: dict[str, Callable[[Tensor], Callable[[Tensor, Tensor], Tensor]]] = {
+    "view": lambda p: of_both(p, p.view(1, 2)),
+    "stack": lambda p: of_both(p, torch.stack([p[0], p[1]])),
+    "square": lambda p: of_both(p, p**2),
+    "both parts": lambda p: of_both(torch.stack(p.unbind()), p.exp()),
+    "three": lambda p: of_both(q := p * 1, (q * 1).exp() + p.detach()),
+}
+
+
+@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("discontinuities", ["auto", False])
+def test_a_tensor_and_one_computed_from_it_count_once(name: str, discontinuities: Any) -> None:
+    """Where plain autograd is right: in the pixels that no edge reaches."""
+    y, x = torch.meshgrid(torch.arange(12) + 0.5, torch.arange(6) + 0.5, indexing="ij")
+    given = torch.zeros(12, 6)
+    given[:2], given[10:] = 1.0, -2.0
+    p, q = (torch.tensor([2.0, 3.0], requires_grad=True) for _ in range(2))
+    (MADE[name](p)(x, y) * given).sum().backward()
+    layer = mcaa.Supersampler((12, 6), discontinuities=discontinuities)
+    for _ in range(2):
+        # a graph that is kept has not been used up
+        (layer(MADE[name](q))[0] * given).sum().backward()
+    assert p.grad is not None and q.grad is not None
+    # linear in x, so that the lattice errs by rounding
+    torch.testing.assert_close(q.grad, 2 * p.grad, rtol=1e-5, atol=1e-4)
+
+
+def test_a_module_and_what_it_has_kept() -> None:
+    module = Cached()
+    module.cached.sum().backward(retain_graph=True)
+    assert module.weight.grad is not None
+    module.weight.grad = None
+    picture = mcaa.Supersampler((6, 6))(module)
+    (x,) = torch.autograd.grad(picture[0, :, 0].sum(), module.weight)
+    # 6 pixels at x = 1/2, with an edge 2.5 px away that no sample of theirs meets
+    expected = torch.tensor([6 * 0.5 + 6 * math.exp(2.0), 0.0])
+    torch.testing.assert_close(x, expected, rtol=1e-5, atol=1e-4)
+
+
+def test_what_was_computed_outside_and_cannot_be_seen_beside_what_it_was_computed_from() -> None:
+    weight = learned()
+    scaled = 3 * weight
+    with pytest.raises(McaaError, match="computed outside it"):
+        found(lambda x, y: scaled * weight * x + torch.func.grad(lambda s: s**2)(scaled))

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, enable_grad
 from torch.autograd.graph import Node, get_gradient_edge, saved_tensors_hooks
 from torch.overrides import TorchFunctionMode
+from torch.utils._pytree import tree_map_only
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
@@ -33,6 +34,7 @@ class Dependencies:
 
     Attributes:
         tensors: all of them, each once.
+        stand_ins: by which f is differentiated in their place; themselves unless one was computed from another.
         smooth: whether f's values have a gradient, as far as autograd knows.
         own: how many leaves of their graph f makes itself, as for a slope inside it.
         steps: whether f uses steps whose slope of 0 autograd does not know.
@@ -40,10 +42,23 @@ class Dependencies:
     """
 
     tensors: tuple[Tensor, ...]
+    stand_ins: tuple[Tensor, ...]
     smooth: bool
     own: int
     steps: bool = False
     severed: frozenset[str] = frozenset()
+
+    def apart(self, f: Function) -> Function:
+        """f with the stand-ins where it uses the tensors."""
+        others = {id(a): b for a, b in zip(self.tensors, self.stand_ins, strict=True) if a is not b}
+        if not others:
+            return f
+
+        def apart(x: Tensor, y: Tensor) -> object:
+            with eagerly(), _StandingIn(others):
+                return f(x, y)
+
+        return apart
 
 
 def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
@@ -69,16 +84,40 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
                 raise
     outside = {key: tensor for key, tensor in runs[0].noted.items() if key in runs[1].noted}
     (nodes, leaves), (others, others_leaves) = (_walk(values, outside.values()) for values in graphs)
-    hidden = {node for node in nodes & others if not _is_leaf(node)}
-    if hidden:
-        raise McaaError(
-            f"f uses a tensor that was computed outside it ({', '.join(sorted(node.name() for node in hidden))}) in a custom operation or "
-            "scripted code, where it cannot be found; let f use it in an operation of PyTorch first, as in 1 * tensor"
-        )
+    _check_seen(nodes & others)
     common = {key: leaf for key, leaf in leaves.items() if key in others_leaves}
     smooth = any(value.requires_grad for value in graphs[1])
     own, severed = len(others_leaves) - len(common), frozenset(runs[1].severed)
-    return Dependencies(tuple({**outside, **common}.values()), smooth, own, runs[1].steps, severed)
+    tensors = tuple({**outside, **common}.values())
+    found = Dependencies(tensors, _stand_ins(tensors), smooth, own, runs[1].steps, severed)
+    if any(a is not b for a, b in zip(tensors, found.stand_ins, strict=True)):
+        with enable_grad(), unheard():
+            values = replace(integrand, function=found.apart(integrand.function))(x, y)
+        # where it cannot be seen, f goes on using what they stand for
+        _check_seen({edge.node for edge in map(get_gradient_edge, tensors)} & _walk(values, found.stand_ins)[0])
+    return found
+
+
+def _check_seen(nodes: set[Node]) -> None:
+    """Refuse what was computed outside f, of which f's values are seen to be a function."""
+    hidden = sorted(node.name() for node in nodes if not _is_leaf(node))
+    if hidden:
+        raise McaaError(
+            f"f uses a tensor that was computed outside it ({', '.join(hidden)}) in a custom operation or scripted code, or inside a transform "
+            "of torch.func that it is an argument of, where it cannot be found; let f use it in an operation of PyTorch first, as in 1 * tensor"
+        )
+
+
+def _stand_ins(tensors: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """The tensors, or leaves that share their memory in the place of those that were computed from others of them.
+
+    A gradient by such another one would count what passes through them, which autograd passes on itself.
+    """
+    nodes = [get_gradient_edge(tensor).node for tensor in tensors]
+    reached = [_walk([tensor], ())[0] - {node} for tensor, node in zip(tensors, nodes, strict=True)]
+    return tuple(
+        tensor.detach().requires_grad_() if below & set(nodes) else tensor for tensor, below in zip(tensors, reached, strict=True)
+    )
 
 
 def unheard() -> AbstractContextManager[Any]:
@@ -94,7 +133,7 @@ def check_reached(values: Sequence[Tensor], known: Dependencies) -> None:
     Raises:
         McaaError: f uses a tensor here that it had not used before.
     """
-    _, leaves = _walk(values, known.tensors)
+    _, leaves = _walk(values, known.stand_ins)
     if len(leaves) > known.own:
         shapes = ", ".join(str(tuple(leaf.shape)) for leaf in leaves.values())
         raise McaaError(
@@ -128,6 +167,18 @@ class _Noting(TorchFunctionMode):
                     self.severed.add(func.__name__)
         self.steps |= lacks_derivative(func)
         return called(func, args, kwargs or {})
+
+
+class _StandingIn(TorchFunctionMode):
+    """Has other tensors in the place of some, by their identity."""
+
+    def __init__(self, others: dict[int, Tensor]) -> None:
+        super().__init__()
+        self.others = others
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        args, kwargs = tree_map_only(Tensor, lambda tensor: self.others.get(id(tensor), tensor), (args, kwargs or {}))
+        return func(*args, **kwargs)
 
 
 def _walk(values: Iterable[Tensor], stops: Iterable[Tensor]) -> tuple[set[Node], dict[int, Tensor]]:

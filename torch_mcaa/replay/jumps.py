@@ -63,7 +63,7 @@ class OfJumps:
             term = surrogate(function, task.screen, met, coefficient)
             if term.requires_grad:
                 check_reached([term], self.inputs)
-                yield derivatives((term,), self.inputs.tensors)
+                yield derivatives((term,), self.inputs.stand_ins)
         for problem in problems:
             warnings.warn(f"{problem}; its part of the gradient is left out", McaaWarning, stacklevel=2)
 

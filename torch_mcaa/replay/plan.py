@@ -93,6 +93,7 @@ def plan(
             McaaWarning,
             stacklevel=5,
         )
+    task = replace(task, integrand=replace(task.integrand, function=found.apart(task.integrand.function)))
     return Replay(task, spp, program if program and program.sites else None, found, moved, noted)
 
 

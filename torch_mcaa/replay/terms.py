@@ -58,7 +58,7 @@ class OfInputs:
         coefficient = self.adjoint(self.samples.band(self.grad, block.strips)[live], block.planes)
         if block.inside is not None:
             coefficient = coefficient * block.inside
-        return derivatives(values, self.inputs.tensors, list(coefficient))
+        return derivatives(values, self.inputs.stand_ins, list(coefficient))
 
 
 class OfFilter:
