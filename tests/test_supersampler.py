@@ -345,6 +345,9 @@ class TestPyTorch:
             picture = layer(net)
             assert picture.dtype == torch.float32
         assert torch.equal(layer(lambda x, y: (x < 3).float()), layer(lambda x, y: (x < 3).float()))
+        # decisions are looked for in full precision
+        assert torch.bfloat16 in seen
+        seen.clear()
         found = gradients((picture * grad).sum(), net)
         assert seen == {torch.bfloat16}
         seen.clear()
@@ -352,6 +355,43 @@ class TestPyTorch:
             # of 8 bits, over some 200 samples
             torch.testing.assert_close(a, b, rtol=0.03, atol=0.03 * float(b.abs().max()))
         assert seen == {torch.float32}
+
+    @pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.Shared()])
+    def test_autocast_of_decisions(self, estimator: Any) -> None:
+        """Where f jumps is found in full precision: half of it takes a straight edge for stairs."""
+        net = torch.nn.Linear(2, 1)
+        with torch.no_grad():
+            net.weight.copy_(torch.tensor([[0.8, 0.6]]))
+            net.bias.fill_(-12.0)
+        layer = mcaa.Supersampler((16, 16), estimator=estimator)
+        with torch.autocast("cpu", torch.bfloat16):
+            picture = layer(lambda x, y: (net(torch.stack([x, y], -1))[..., 0] > 0).float())
+        (bias,) = torch.autograd.grad(picture.sum(), net.bias)
+        # the edge 0.8 x + 0.6 y = 12 is 20 px long on the screen, and 1 of bias moves it by 1 px; corners cut it a little
+        assert float(bias) == pytest.approx(20, rel=0.005)
+
+    def test_autocast_that_f_needs_is_said(self) -> None:
+        net = torch.nn.Linear(2, 1).bfloat16()
+
+        def f(x: Tensor, y: Tensor) -> Tensor:
+            return (net(torch.stack([x, y], -1))[..., 0] > 0).float()
+
+        with torch.autocast("cpu", torch.bfloat16), pytest.warns(McaaWarning, match="under autocast alone"):
+            mcaa.Supersampler((8, 8), estimator=mcaa.Shared())(f)
+
+    def test_a_checkpoint_inside_f(self) -> None:
+        radius = torch.tensor(3.0, requires_grad=True)
+
+        def inner(x: Tensor, y: Tensor) -> Tensor:
+            return torch.where(torch.hypot(x - 4, y - 4) < radius, x * radius, 0.1)
+
+        picture = mcaa.Supersampler((8, 8))(lambda x, y: checkpoint(inner, x, y, use_reentrant=False))
+        with pytest.raises(McaaError, match=r"uses torch.utils.checkpoint inside.*leave it out"):
+            picture.sum().backward()
+
+    def test_made_inside_a_transform(self) -> None:
+        with pytest.raises(McaaError, match="make it outside"):
+            torch.func.grad(lambda p: mcaa.Supersampler((8, 8))(lambda x, y: x * p).sum())(torch.tensor(4.0))
 
     @pytest.mark.filterwarnings("ignore:The .grad attribute:UserWarning")
     def test_compile(self) -> None:

@@ -79,6 +79,10 @@ class Supersampler(torch.nn.Module):
             McaaError: an argument that cannot be used.
         """
         super().__init__()
+        if transformed():
+            raise McaaError(
+                "a layer cannot be made inside a transform of functions (torch.func.grad, vmap and the like); make it outside"
+            )
         if discontinuities not in ("auto", False):
             raise McaaError(f"discontinuities must be 'auto' or False, got {discontinuities!r}")
         for name, flag in (("redraw", redraw), ("decorrelate", decorrelate)):
@@ -159,8 +163,9 @@ class Supersampler(torch.nn.Module):
             task = self._task(f, seed, dtype, device)
             replay = self._replay(task, autocast) if torch.is_grad_enabled() else None
             function = autocast.of(f)
-            # a texture is exact, or turned: its values show its jumps as well as its decisions do
-            if self.discontinuities and isinstance(self.estimator, Auto | JumpCorrected) and not isinstance(f, Texture):
+            # margins of half precision say little of where they are 0; a texture's values show its jumps as well as its decisions do
+            follows = self.discontinuities and autocast.dtype is None and not isinstance(f, Texture)
+            if follows and isinstance(self.estimator, Auto | JumpCorrected):
                 function = followed(task, function)
             picture = self._render(function, self.size, seed, dtype, device)
         if replay is None or not replay.parameters:

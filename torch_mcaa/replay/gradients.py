@@ -16,6 +16,7 @@ from torch import Tensor
 from torch_mcaa.errors import McaaWarning
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
+from torch_mcaa.integrand import Function
 from torch_mcaa.patterns.lattice import Strip
 from torch_mcaa.replay.adjoint import Adjoint, norm, reach_of
 from torch_mcaa.replay.dependencies import Dependencies
@@ -35,7 +36,7 @@ class Replay:
     Attributes:
         task: f, without the parameters in `moved`, on the screen; its seed is that of the backward's points.
         spp: evaluations a pixel, those on lines that look for jumps included.
-        program: the decisions of f, if its jumps count.
+        program: the decisions of f, if its jumps count; deciding: f as these are taken, without autocast.
         inputs: what f depends on.
         moved: the parameters of where f is asked.
         noted: what f was in the forward pass.
@@ -44,6 +45,7 @@ class Replay:
     task: Task
     spp: int
     program: Program | None
+    deciding: Function
     inputs: Dependencies
     moved: Moved
     noted: Noted
@@ -75,7 +77,7 @@ class Replay:
 
         spp = self.spp
         if self.program is not None:
-            jumps = OfJumps(task, self.program, self.inputs, spp)
+            jumps = OfJumps(task, self.deciding, self.program, self.inputs, spp)
             for parts in jumps.parts(self._normed(grad, strip_of(task, spp))):
                 add(parts)
             spp = max(-(-spp // 2), spp - -(-jumps.evaluations // (task.screen.height * task.screen.width)))

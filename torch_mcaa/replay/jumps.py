@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaWarning
 from torch_mcaa.estimators.base import Task
+from torch_mcaa.integrand import Function
 from torch_mcaa.replay.adjoint import at_places
 from torch_mcaa.replay.dependencies import Dependencies, check_reached
 from torch_mcaa.traced.boundary import LINES, elements, surrogate
@@ -27,8 +28,8 @@ class OfJumps:
     The lines are some for each so many samples a pixel, and their evaluations count: `evaluations` has how many there were.
     """
 
-    def __init__(self, task: Task, program: Program, inputs: Dependencies, spp: int) -> None:
-        self.task, self.program, self.inputs = task, program, inputs
+    def __init__(self, task: Task, function: Function, program: Program, inputs: Dependencies, spp: int) -> None:
+        self.task, self.function, self.program, self.inputs = task, function, program, inputs
         self.lines = max(1, LINES * spp // _SAMPLES)
         self.evaluations = 0
 
@@ -37,7 +38,7 @@ class OfJumps:
 
         Warns (`McaaWarning`) of edges that had to be left out.
         """
-        task, function = self.task, self.task.integrand.function
+        task, function = self.task, self.function
         problems: dict[str, None] = {}
         side = _CELL
         while side > 32 and side * side * self.lines > _SEGMENTS:

@@ -44,7 +44,8 @@ def plan(
         McaaError: see `Supersampler.forward`.
     """
     f, moved = _held(task, extent)
-    task = replace(task, integrand=replace(task.integrand, function=autocast.of(bound(f))))
+    exact = bound(f)
+    task = replace(task, integrand=replace(task.integrand, function=autocast.of(exact)))
     col, row = (rng.uniform(task.seed, _PROBE, axis, torch.arange(_PROBED), dtype=torch.float64) for axis in (0, 1))
     x, y = task.screen.x_of(col * task.screen.width), task.screen.y_of(row * task.screen.height)
     x, y = (t.to(task.device, task.dtype) for t in (x, y))
@@ -55,11 +56,12 @@ def plan(
             warnings.warn(
                 f"f uses none of its {len(learned)} parameters that require a gradient: they get none", McaaWarning, stacklevel=5
             )
-    program = None
+    program, deciding = None, task
     # a texture's values do not jump as its texels change, and its transform, if it is not one of its tensors here, is in `moved`
     if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
-        program = _program(task)
-        if look and not program.problems and (place := _steep(task, program, found.tensors)):
+        deciding = _deciding(task, exact)
+        program = _program(deciding)
+        if look and not program.problems and (place := _steep(deciding, program, found.tensors)):
             warnings.warn(place, McaaWarning, stacklevel=5)
     elif not found.tensors and discontinuities and not isinstance(f, Texture) and (hidden := _hidden(task)):
         warnings.warn(
@@ -93,8 +95,26 @@ def plan(
             McaaWarning,
             stacklevel=5,
         )
-    task = replace(task, integrand=replace(task.integrand, function=found.apart(task.integrand.function)))
-    return Replay(task, spp, program if program and program.sites else None, found, moved, noted)
+    function, decides = (found.apart(each.integrand.function) for each in (task, deciding))
+    task = replace(task, integrand=replace(task.integrand, function=function))
+    return Replay(task, spp, program if program and program.sites else None, decides, found, moved, noted)
+
+
+def _deciding(task: Task, exact: Function) -> Task:
+    """The task with the f whose jumps are located: in full precision, if f can do without the autocast of the forward pass."""
+    if task.integrand.function is exact:
+        return task
+    other = replace(task, integrand=replace(task.integrand, function=exact))
+    try:
+        _probed(other, exact)
+    except McaaError as error:
+        warnings.warn(
+            f"f runs under autocast alone, so that its decisions, and where it jumps, are as coarse as that: {error}",
+            McaaWarning,
+            stacklevel=5,
+        )
+        return task
+    return other
 
 
 def followed(task: Task, function: Function) -> Function:

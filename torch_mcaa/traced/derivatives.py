@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.utils.checkpoint import CheckpointError
 
 from torch_mcaa.errors import McaaError
 
@@ -20,6 +21,11 @@ def derivatives(
     """
     try:
         return torch.autograd.grad(outputs, inputs, weights, allow_unused=True)
+    except CheckpointError as error:
+        raise McaaError(
+            "f uses torch.utils.checkpoint inside, which asks parts of it again without the layer's knowledge; leave it out: the layer keeps no "
+            "more of f than a block of samples needs"
+        ) from error
     except RuntimeError as error:
         if "is not implemented" in str(error):
             raise McaaError(f"f uses an operation that PyTorch cannot differentiate: {error}; give it detached tensors") from error
