@@ -60,6 +60,35 @@ def test_a_ramp_that_no_sample_meets_is_said_with_its_place(ramp: Ramp, steepnes
     assert math.hypot(float(place[1]) - 16, float(place[2]) - 16) == pytest.approx(10.3, abs=2e-3)
 
 
+@pytest.mark.parametrize("steepness", [1e5, 1e13])
+@pytest.mark.parametrize("ramp", RAMPS.values(), ids=RAMPS)
+def test_the_report_has_it_too(ramp: Ramp, steepness: float) -> None:
+    """Beside other decisions; as a ramp, or, where float64 has hardly a number inside it, as a jump."""
+
+    def beside(x: Tensor, y: Tensor) -> Tensor:
+        return (x > 3).float() + disc(ramp, steepness)(x, y)
+
+    report = mcaa.check_discontinuities(beside, SIZE)
+    assert not report.ok and len(report.decisions) == 1
+    places = report.ramps if steepness == 1e5 else report.jumps
+    assert len(places) > 20
+    for place in places:
+        assert math.hypot(place.x - 16, place.y - 16) == pytest.approx(10.3, abs=2e-3)
+        assert place.size == pytest.approx(2 * 0.7 if ramp in (torch.tanh, F.hardtanh, torch.erf) else 0.7, rel=0.05)
+    assert ("ramps within 1/4096 px" in str(report)) == (steepness == 1e5)
+    assert "no other jump" not in str(report)
+
+
+def test_the_report_is_well_of_what_samples_meet() -> None:
+    for f in (
+        *(disc(ramp, 100.0) for ramp in RAMPS.values()),
+        lambda x, y: (x - RADIUS).abs().sqrt(),
+        lambda x, y: SHADE * (x < RADIUS),
+    ):
+        report = mcaa.check_discontinuities(f, SIZE)
+        assert report.ok and report.ramps == () and "no other jump" in str(report)
+
+
 @pytest.mark.parametrize("size", [(1, 1), (2, 3), (1, 50), (256, 256)])
 def test_pictures_of_any_size(size: tuple[int, int]) -> None:
     assert len(said(lambda x, y: torch.tanh(1e6 * (x - 0.05 * RADIUS)), size)) == 1

@@ -31,7 +31,8 @@ class Auto(Estimator):
     Where f is flat, smooth or jumps: a lattice corrected for its jumps, as in `JumpCorrected`, of as many lines as can be paid for.
     Where it is noise, has detail everywhere, or jumps more often than can be followed: a shared lattice with all evaluations that are
     left, which suits the directions of the edges that the pilot saw. `Rendering.model` says which. Filters that do not end, or end in a
-    step and are not products that are whole pixels wide, and fewer than 5 evaluations a pixel, are `Shared(Lattice())` throughout. Of
+    step and are not products that are whole pixels wide, pictures of under 256 pixels, and fewer than 5 evaluations a pixel, are
+    `Shared(Lattice())` throughout. Of
     filters narrower than a pixel those that end in a step, or hold too few points of a lattice, have points of their own: `Importance()`.
 
     A `Texture` whose rows and columns are the screen's is not sampled at all: its picture is a sum over texels, exact but for rounding, under

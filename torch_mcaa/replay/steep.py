@@ -13,14 +13,12 @@ from torch import Tensor
 
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.traced.asked import Asked
-from torch_mcaa.traced.audit import STEPS
+from torch_mcaa.traced.audit import NARROW, STEPS
 from torch_mcaa.traced.pieces import Pieces, pieces
 from torch_mcaa.traced.program import Program
 from torch_mcaa.traced.visitors import Signatures
 
 _FEWEST, _LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 8, 1 << 15, 64, 8
-_HALVINGS = 12
-"""More than half of what f is seen to change by along 1 px is left after so many: an edge of 100 px is met by less than one sample of 16 a pixel."""
 _SPIKE = 16
 """A derivative that is so many times what it is on either side."""
 
@@ -30,13 +28,13 @@ def steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
     screen = task.screen
     asked = Asked(task.integrand.function, screen, program.all_moving(), task.dtype, task.device, None)
     found = pieces(asked, task.seed, max(_FEWEST, min(_LOOKED, screen.width * screen.height // 2)), _FOLLOWED)
-    for _ in range(_HALVINGS):
+    for _ in range(NARROW):
         if found is None or not len(found):
             return ""
         found = found.halved(asked, 1)
         found = found.take(found.size > found.change / 2)
     assert found is not None
-    last = found.halved(asked, STEPS - _HALVINGS)
+    last = found.halved(asked, STEPS - NARROW)
     sheer = last.size > last.change / 2
     for k, place in enumerate(sheer.tolist()[:_DIFFERENTIATED]):
         one = last.take(torch.tensor([k], device=task.device))
@@ -44,9 +42,9 @@ def steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
             at = one.at(one.high)
             col, row, x, y = (float(t) for t in (*at, screen.x_of(at[0]), screen.y_of(at[1])))
             return (
-                f"f changes by {float(one.change):.3g} within 1/{2**_HALVINGS} px at column {col:.3f}, row {row:.3f} (x = {x:.6g}, "
+                f"f changes by {float(one.change):.3g} within 1/{2**NARROW} px at column {col:.3f}, row {row:.3f} (x = {x:.6g}, "
                 f"y = {y:.6g}), where it is not seen to decide: next to no sample meets that, so that the gradient of what moves it is "
-                "missing, or noise; let f decide, as by g > 0 in the place of a ramp across g = 0"
+                "missing, or noise; let f decide, as by g > 0 in the place of a ramp across g = 0, or say where it jumps by level_set(g)"
             )
     return ""
 

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters import Box
@@ -13,11 +14,16 @@ from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.boundary import elements
-from torch_mcaa.traced.pieces import pieces
+from torch_mcaa.traced.pieces import Pieces, pieces
 from torch_mcaa.traced.program import Program, probe
 
 STEPS, PART = 36, 1e-3
 """What is no jump, in changes over the whole piece: of a slope 2^-36 is left, or what float32 rounds to."""
+NARROW = 12
+"""Halvings of a piece of 1 px, after which a ramp with more than half of its change left is met by next to no sample: of an edge of 100 px by less
+than one of 16 a pixel."""
+_TOUCHED = 0.05
+"""Of the largest change along a piece: less is the foot of a wider ramp, which the piece ends in."""
 _CELL = 64
 _MOST = 1 << 16
 """Segments looked at."""
@@ -27,7 +33,7 @@ _NAMED = 8
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump that no decision explains: screen column and row in pixels, f's x and y there, and its size (of the largest channel)."""
+    """A jump, or a ramp like one, that no decision explains: screen column and row in pixels, f's x and y, and its size (largest channel)."""
 
     col: float
     row: float
@@ -43,6 +49,7 @@ class Discontinuities:
     Attributes:
         decisions: (file:line, operation, jumps met on lines across the screen) for every decision of f.
         jumps: those that no decision explains.
+        ramps: changes within 2^-12 px that no decision explains, to all samples a jump.
         problems: sentences about what the trace cannot follow.
         probes: how many pieces of lines were looked at, and followed.
         random: f gave two values for one point: it is random, or mixes the points that it is asked for at once.
@@ -50,6 +57,7 @@ class Discontinuities:
 
     decisions: tuple[tuple[str, str, int], ...]
     jumps: tuple[Jump, ...]
+    ramps: tuple[Jump, ...]
     problems: tuple[str, ...]
     probes: tuple[int, int]
     random: bool
@@ -57,7 +65,7 @@ class Discontinuities:
     @property
     def ok(self) -> bool:
         """Every jump that was met is one that gradients can follow."""
-        return not (self.jumps or self.problems or self.random)
+        return not (self.jumps or self.ramps or self.problems or self.random)
 
     def __str__(self) -> str:
         lines = [f"decisions of f ({len(self.decisions)}), and the jumps that lines across the screen met there:"]
@@ -70,18 +78,28 @@ class Discontinuities:
             lines += ["what the trace cannot follow:", *(f"  {problem}" for problem in self.problems)]
         if self.jumps:
             lines.append(f"jumps that no decision explains ({len(self.jumps)} of {self.probes[1]} places that were followed):")
-            lines += [
-                f"  at column {j.col:.3f}, row {j.row:.3f} (x = {j.x:.6g}, y = {j.y:.6g}): {j.size:.3g}"
-                for j in self.jumps[:_NAMED]
-            ]
-            if len(self.jumps) > _NAMED:
-                lines.append(f"  and {len(self.jumps) - _NAMED} more")
+            lines += _named(self.jumps)
             lines.append(
                 "  their gradients are missing: declare the jump inside f with torch_mcaa.level_set(g), g crossing zero there"
             )
-        elif not self.random:
+        if self.ramps:
+            lines.append(
+                f"ramps within 1/{2**NARROW} px that no decision explains ({len(self.ramps)} of {self.probes[1]} places that were followed):"
+            )
+            lines += _named(self.ramps)
+            lines.append(
+                "  next to no sample meets them, and gradients of what moves them are missing, or noise: let f decide, as by g > 0 in the place of a "
+                "ramp across g = 0"
+            )
+        if not (self.jumps or self.ramps or self.random):
             lines.append(f"no other jump in {self.probes[0]} pieces of lines")
         return "\n".join(lines)
+
+
+def _named(jumps: tuple[Jump, ...]) -> list[str]:
+    """A line for each of the first ones."""
+    lines = [f"  at column {j.col:.3f}, row {j.row:.3f} (x = {j.x:.6g}, y = {j.y:.6g}): {j.size:.3g}" for j in jumps[:_NAMED]]
+    return lines if len(jumps) <= _NAMED else [*lines, f"  and {len(jumps) - _NAMED} more"]
 
 
 def check_discontinuities(
@@ -118,11 +136,11 @@ def check_discontinuities(
         met = elements(f, screen, cell, Box(), seed, 1, closed=True, program=program, fixed=True, dtype=dtype, device=placed)
         counts.update(met.cause.tolist())
         problems.update((p, None) for p in met.problems if not p.startswith(fixed))
-    jumps, probes, random = untraced(
+    jumps, ramps, probes, random = untraced(
         f, screen, program, seed, dtype, placed, min(_MOST, 2 * screen.height * screen.width), _FOLLOWED
     )
     decisions = tuple((site.where, site.name, counts[number]) for number, site in enumerate(program.sites))
-    return Discontinuities(decisions, jumps, tuple(problems), probes, random)
+    return Discontinuities(decisions, jumps, ramps, tuple(problems), probes, random)
 
 
 @torch.no_grad()
@@ -135,8 +153,8 @@ def untraced(
     device: torch.device,
     looked: int,
     followed: int,
-) -> tuple[tuple[Jump, ...], tuple[int, int], bool]:
-    """The jumps on `looked` random pieces of lines of up to 1 px, of which the `followed` that change most are bisected.
+) -> tuple[tuple[Jump, ...], tuple[Jump, ...], tuple[int, int], bool]:
+    """The jumps, and the narrow ramps, on `looked` random pieces of lines of up to 1 px, of which the `followed` that change most are bisected.
 
     A piece counts only while its ends, and all places asked between them, have one signature. With the jumps come the numbers of pieces
     that were looked at and followed, and whether f is random.
@@ -144,11 +162,19 @@ def untraced(
     asked = Asked(function, screen, program.all_moving(), dtype, device, None)
     some = pieces(asked, seed, looked, followed)
     if some is None:
-        return (), (looked, 0), True
-    left = some.halved(asked, STEPS)
-    left = left.take(left.size > PART * left.change)
-    cols, rows = left.at(left.high)
-    x, y = screen.x_of(cols), screen.y_of(rows)
-    order = torch.argsort(left.size, descending=True)
-    found = (Jump(*(float(t[k]) for t in (cols, rows, x, y, left.size))) for k in order.tolist())
-    return tuple(found), (looked, len(some)), False
+        return (), (), (looked, 0), True
+    part = some.halved(asked, NARROW)
+    left = part.halved(asked, STEPS - NARROW)
+    least = _TOUCHED * some.change.amax() if len(some) else 0.0
+    narrow = part.take((part.size > part.change / 2) & (part.change > least))
+    ends = narrow.halved(asked, STEPS - NARROW)
+    kinds = left.take(left.size > PART * left.change), ends.take(ends.size <= PART * ends.change)
+    jumps, ramps = (_largest(screen, kind, kind.size if number == 0 else kind.change) for number, kind in enumerate(kinds))
+    return jumps, ramps, (looked, len(some)), False
+
+
+def _largest(screen: Screen, some: Pieces, size: Tensor) -> tuple[Jump, ...]:
+    """Where the parts lie, the largest of `size` (N,) first."""
+    cols, rows = some.at(some.high)
+    planes = (cols, rows, screen.x_of(cols), screen.y_of(rows), size)
+    return tuple(Jump(*(float(plane[k]) for plane in planes)) for k in torch.argsort(size, descending=True).tolist())

@@ -154,7 +154,7 @@ def eagerly() -> AbstractContextManager[Any]:
 def changed_program(what: str) -> McaaError:
     return McaaError(
         f"f took other decisions than before: {what}; its Python control flow depends on values, or on how many points there are (as "
-        "vmap's chunk_size does): write it with torch.where, so that every call runs the same operations"
+        "vmap's chunk_size does): write it with torch.where, so that every call runs the same operations, and a loop of a fixed number of steps"
     )
 
 
