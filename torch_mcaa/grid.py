@@ -118,11 +118,11 @@ class Screen:
 
     def x_of(self, col: Tensor) -> Tensor:
         """f's x of float64 screen columns (pixels)."""
-        return self.extent[0] + self.pixel_size[0] * col
+        return _along(col, self.extent[0], self.pixel_size[0])
 
     def y_of(self, row: Tensor) -> Tensor:
         """f's y of float64 screen rows (pixels)."""
-        return self.extent[2] + self.pixel_size[1] * row
+        return _along(row, self.extent[2], self.pixel_size[1])
 
     def centres(self, cell: Cell | None = None, strata: tuple[int, int] = (1, 1)) -> tuple[Tensor, Tensor]:
         """(23): float64 coordinates (width,) and (height,) of the centres of a cell's pixels, of all pixels by default.
@@ -159,3 +159,8 @@ class Screen:
 
 def _is_integer(value: object) -> bool:
     return not isinstance(value, bool) and hasattr(value, "__index__")
+
+
+def _along(pixels: Tensor, first: float, size: float) -> Tensor:
+    """Coordinates along one axis; pixels are the usual ones."""
+    return pixels if (first, size) == (0, 1) else first + size * pixels

@@ -132,10 +132,16 @@ class _Bisection:
         )
         self.flat = torch.cat([torch.full_like(p.single, p.axis == 0) for p in parts])
         self.done: list[tuple[Tensor, ...]] = []
+        self._of: tuple[Tensor, ...] = ()
 
-    def at(self, along: Tensor, root: Tensor) -> Tensor:
-        """f (C, N) at places of segments."""
-        across, flat = pick(self.across, root), pick(self.flat, root)
+    def of(self, root: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """`across`, `flat` and `least` of segments; what was asked last is kept, for most halvings are of the same ones."""
+        if not self._of or self._of[0] is not root:
+            self._of = root, pick(self.across, root), pick(self.flat, root), pick(self.least, root)
+        return self._of[1:]  # pyright: ignore[reportReturnType]
+
+    def at(self, along: Tensor, across: Tensor, flat: Tensor) -> Tensor:
+        """f (C, N) at places on lines, of which those along x are `flat`."""
         return self.ask(torch.where(flat, along, across), torch.where(flat, across, along))
 
     def start(self) -> None:
@@ -151,7 +157,8 @@ class _Bisection:
         share = (torch.arange(1, 4, device=whole.device)[:, None] + moved) / 4
         low, high = pick(self.low, whole), pick(self.high, whole)
         places = low + share * (high - low)
-        values = self.at(places.flatten(), whole.repeat(3)).unflatten(1, places.shape)
+        lines = (pick(each, whole).repeat(3) for each in (self.across, self.flat))
+        values = self.at(places.flatten(), *lines).unflatten(1, places.shape)
         ends = torch.cat([low[None], places, high[None]])
         values = torch.cat([pick(self.before, whole)[:, None], values, pick(self.after, whole)[:, None]], 1)
         quarters = self.followed(
@@ -202,16 +209,17 @@ class _Bisection:
         """Halve the first `count` brackets, or part them at a `middle` of each; how many they are then."""
         root, low, high, before, after = (field[..., :count] for field in self.live)
         middle = (low + high) / 2 if middle is None else middle[:count]
-        value = self.at(middle, root)
-        least, first, second = pick(self.least, root), (value - before).abs(), (after - value).abs()
-        left = (first > least).any(0)
+        across, flat, least = (each[..., :count] for each in self.of(self.live[0]))
+        value = self.at(middle, across, flat)
+        first, second = (value - before).abs(), (after - value).abs()
+        left = _any(first > least)
         # almost always one half holds the jump and the other has no change
-        odd = (torch.minimum(first, second) > _FAINT * least).any(0) | (left == (second > least).any(0))
+        odd = _any(torch.minimum(first, second) > _FAINT * least) | (left == _any(second > least))
         if not bool(odd.any()):
-            low.copy_(torch.where(left, low, middle))
-            high.copy_(torch.where(left, middle, high))
-            before.copy_(torch.where(left, before, value))
-            after.copy_(torch.where(left, value, after))
+            torch.where(left, low, middle, out=low)
+            torch.where(left, middle, high, out=high)
+            torch.where(left, before, value, out=before)
+            torch.where(left, value, after, out=after)
             return count
         halves = self.followed(
             root.repeat(2),
@@ -248,3 +256,8 @@ class _Bisection:
         rest = add_at(change.clone(), root, -jump).abs()
         steep = add_at(torch.zeros_like(self.low), root, width) <= _SMOOTH
         return (rest <= _MISSED * change.abs().amax(0)).all(0) & steep
+
+
+def _any(mask: Tensor) -> Tensor:
+    """In any of the channels (C, N)."""
+    return mask[0] if len(mask) == 1 else mask.any(0)

@@ -51,13 +51,10 @@ class _Order:
         """(N,) the index of the crossing nearest to each place on a line, -1 where there is none so near."""
         target = place_of(line, place)
         after = torch.searchsorted(self.keys, target)
-        best, distance = torch.full_like(line, -1), torch.zeros_like(place) + within
-        for at in (after - 1, after):
-            index = at.clamp(0, len(self.keys) - 1)
-            off = (pick(self.keys, index) - target).abs()
-            closer = off <= distance
-            best, distance = torch.where(closer, pick(self.order, index), best), torch.where(closer, off, distance)
-        return best
+        index = torch.stack([after - 1, after]).clamp_(0, len(self.keys) - 1)
+        before, behind = (self.keys[index] - target).abs_()
+        best = self.order[torch.where(behind <= before, index[1], index[0])]
+        return best.masked_fill_(torch.minimum(before, behind) > within, -1)
 
 
 def linked(crossings: Crossings, grid: Numbered, *directions: int) -> list[Tensor]:

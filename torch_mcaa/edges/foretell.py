@@ -93,19 +93,19 @@ def _foretold(segments: Segments, known: Crossings, apart: float) -> tuple[Tenso
     jump, column = pick(known.jump, order), where.floor()
     change, own = segments.after - segments.before, segments.low.floor()
     any_jump = segments.least.isinf()
-    sides = []
-    for step in (0, -1):
-        nearest = torch.full_like(segments.across, -1).to(torch.int64)
-        distance = torch.full_like(segments.across, apart)
-        for shift in (-1, 0, 1, 2):
-            target = (own + shift) * _FAR + segments.across
-            one = (torch.searchsorted(place, target, right=step == 0) + step).clamp(0, len(place) - 1)
-            off = pick(across, one) - segments.across if step == 0 else segments.across - pick(across, one)
-            fits = (pick(column, one) == own + shift) & (off < distance) & (off >= 0)
-            fits &= (((pick(jump, one) - change).abs() <= segments.least) | any_jump).all(0)
-            nearest, distance = torch.where(fits, one, nearest), torch.where(fits, off, distance)
-        sides.append((nearest, distance))
-    (above, up), (below, down) = sides
-    found = (above >= 0) & (below >= 0)
+    # columns before, at and after the segment's own, and the nearest line above and below in each: (sides, columns, S)
+    columns = own + torch.arange(-1, 3, device=own.device)[:, None]
+    target = columns * _FAR + segments.across
+    one = torch.stack([torch.searchsorted(place, target, right=True), torch.searchsorted(place, target) - 1]).clamp_(
+        0, len(place) - 1
+    )
+    off = across[one] - segments.across
+    off[1].neg_()
+    fits = (column[one] == columns) & (off < apart) & (off >= 0)
+    fits &= (((jump[:, one] - change[:, None, None]).abs() <= segments.least[:, None, None]) | any_jump[:, None, None]).all(0)
+    distance, which = off.masked_fill_(~fits, apart).min(1)
+    nearest = one.gather(1, which[:, None])[:, 0]
+    (above, below), (up, down) = nearest, distance
+    found = (distance < apart).all(0)
     share = torch.where(up + down > 0, down / (up + down).clamp_min(1e-12), 0.5)
-    return pick(where, below.clamp_min(0)) * (1 - share) + pick(where, above.clamp_min(0)) * share, found
+    return pick(where, below) * (1 - share) + pick(where, above) * share, found

@@ -93,7 +93,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
         edges = [look.sharp(crossings) for look, crossings in zip(looks, bisected, strict=True)]
         sharp = tuple((clear, look.where[clear.segment]) for look, clear in zip(looks, edges, strict=True))
         jumps = [look.jumped(crossings, parts) for look, crossings in zip(looks, bisected, strict=True)]
-        asked = [look.asked(crossings, seed) for look, crossings in zip(looks, bisected, strict=True)]
+        asked = [look.asked(crossings) for look, crossings in zip(looks, bisected, strict=True)]
         x, y = zip(*(placed(look.some.axis, *places) for look, places in zip(looks, asked, strict=True)), strict=True)
         values = ask(torch.cat(x), torch.cat(y)).split([4 * len(look.where) for look in looks], 1)
         for look, crossings, clear, has, four in zip(looks, bisected, edges, jumps, values, strict=True):
@@ -137,13 +137,14 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
 class _Look:
     """Some segments along one axis, the part each lies `where`, a random place in it, and one `beside` it in the next on its quiet side.
 
-    `hits` (parts,), how many thin pieces samples hit.
+    And two random numbers (2, S) each, `drawn`. `hits` (parts,), how many thin pieces samples hit.
     """
 
     some: Segments
     where: Tensor
     place: Tensor
     beside: Tensor
+    drawn: Tensor
     hits: Tensor
 
     @classmethod
@@ -156,16 +157,17 @@ class _Look:
         rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[where[order]]
         chosen = order[rank < most]
         some = segments.take(chosen)
-        one, two = _numbers(seed, some, 1, 2)
+        which = torch.arange(1, 5, device=some.low.device)[:, None]
+        one, two, *more = rng.uniform(seed, _PILOT, some.axis, which, some.stream, dtype=torch.float64)
         length = some.high - some.low
-        return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, hits)
+        return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, torch.stack(more), hits)
 
-    def asked(self, crossings: Crossings, seed: int) -> tuple[Tensor, Tensor]:
+    def asked(self, crossings: Crossings) -> tuple[Tensor, Tensor]:
         """The random places, those beside, and two opposite each other about the jump: along the lines, and across them."""
         some, sharp = self.some, self._steep(crossings)
         middle = self.place.clone()
         middle[crossings.segment[sharp]] = crossings.place[sharp]
-        turn, off = _numbers(seed, some, 3, 4)
+        turn, off = self.drawn
         off, turn = _NEAR + (_OFF - _NEAR) * off, 2 * torch.pi * turn
         along, across = off * turn.cos(), off * turn.sin()
         return torch.cat([self.place, self.beside, middle + along, middle - along]), torch.cat(
@@ -227,12 +229,6 @@ class _Look:
         passed = crossings.place < self.place[crossings.segment]
         add_at(told, crossings.segment[passed], crossings.jump[:, passed])
         return (value - told).abs().amax(0) > 0.35 * self.size
-
-
-def _numbers(seed: int, segments: Segments, *keys: int) -> Tensor:
-    """(K, S) uniform numbers, float64."""
-    which = torch.tensor(keys, device=segments.low.device)[:, None]
-    return rng.uniform(seed, _PILOT, segments.axis, which, segments.stream, dtype=torch.float64)
 
 
 def _steep(segments: Segments, crossings: Crossings, where: Tensor, parts: int) -> Tensor:

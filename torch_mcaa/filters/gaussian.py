@@ -73,7 +73,7 @@ class Gaussian(SeparableFilter):
     def profile(self, d: Tensor) -> Tensor:
         std, kept = self._scale(d)
         density = torch.exp(-0.5 * (d / std) ** 2) / (std * math.sqrt(2 * math.pi) * kept)
-        return torch.where(d.abs() <= self.half_width, density, 0)
+        return density.masked_fill(d.abs() > self.half_width, 0)
 
     def profile_cdf(self, d: Tensor) -> Tensor:
         std, kept = self._scale(d)

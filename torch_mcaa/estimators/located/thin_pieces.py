@@ -99,6 +99,8 @@ class ThinPieces:
 
     def _lose(self, hit: Crossings) -> None:
         """Leave the blocks with crossings to sampling."""
+        if len(hit) == 0:
+            return
         hits = torch.zeros_like(self.lost)
         hits[pixels_of(self.cell, hit.axis, hit.place, hit.across)] = True
         self.hits = self.hits | hits
