@@ -67,7 +67,8 @@ class Supersampler(torch.nn.Module):
         Args:
             size: (height, width) in pixels.
             filter: `Gaussian(std)` with a tensor `std` that requires a gradient gives it one; a `Parameter` becomes one of the layer's.
-            spp: a cap on the mean number of evaluations of f in a pixel, in each pass.
+            spp: a cap on the mean number of evaluations of f in a pixel, in each pass; a look at f's decisions, some thousand points, and margins
+                as in `render` come on top.
             extent: (x0, x1, y0, y1); a tensor of the four that requires a gradient gets one.
             redraw: new points at each call.
             decorrelate: points of its own for the backward pass, so that the gradient of a loss that is not linear in the picture is unbiased.
