@@ -21,11 +21,12 @@ from torch_mcaa.estimators.lattice.lattice_weights import Geometry
 from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound, Look
 from torch_mcaa.estimators.located.counted import Counted, Precision
 from torch_mcaa.estimators.located.jump_corrector import Corrector
-from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES, odd
 from torch_mcaa.estimators.located.owner import Owner
 from torch_mcaa.estimators.narrow import SOME, held
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import width_of
+from torch_mcaa.patterns.lattice import CHARACTER_RATIO
 from torch_mcaa.patterns.turned import FEWEST as SUITED
 from torch_mcaa.patterns.turned import turned
 from torch_mcaa.tolerance import FEW_SHIFTS, Tolerance
@@ -69,8 +70,7 @@ def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:
 
 def lines_for(spp: float) -> int:
     """Points, and lines, a pixel of the lattice whose jumps are to be located with `spp` evaluations; odd."""
-    count = max(FEWEST_LINES, int(_SHARE * spp + 0.5))
-    return count - 1 + count % 2
+    return odd(max(FEWEST_LINES, int(_SHARE * spp + 0.5)))
 
 
 @dataclass(frozen=True)
@@ -144,15 +144,15 @@ class Parts:
         """A plain lattice of at most `spp` evaluations a pixel and `budget` in all; the one that suits the `edges`, as in `turned`, if given."""
         step = 1 if edges is None or spp < SUITED else _STEP
         spp = math.floor(spp / step) * step
-        lattice = self._suited(spp, edges)
+        lattice, ratio = self._suited(spp, edges)
         while spp > 1 and lattice.points(cell) > budget:
             # a cut pattern can hold more than its share
             spp = max(1, spp - step)
-            lattice = self._suited(spp, edges)
+            lattice, ratio = self._suited(spp, edges)
         whole = cell
         if self.task.boundary == "extend":
             whole = Cell(cell.row, cell.col, cell.height, -(-cell.width // _COLUMNS) * _COLUMNS)
-        found = lattice.measured(whole)
+        found = lattice.measured(whole, ratio=ratio)
         inner = (..., slice(0, cell.height), slice(0, cell.width))
         points = lattice.row_points(cell).to(found.value.device, torch.int64)[:, None].expand(cell.height, cell.width)
         model = torch.full((cell.height, cell.width), SAMPLED, dtype=torch.uint8, device=found.value.device)
@@ -249,8 +249,12 @@ class Parts:
         part = Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, count, blind)
         return part, allowed
 
-    def _suited(self, spp: float, edges: np.ndarray | None) -> LatticeRound:
-        return self._lattice(spp, False, None if edges is None or spp < SUITED else turned(spp, edges))
+    def _suited(self, spp: float, edges: np.ndarray | None) -> tuple[LatticeRound, float]:
+        """A lattice, and what the squares of its character sums are over its variance."""
+        if edges is None or spp < SUITED:
+            return self._lattice(spp, False), CHARACTER_RATIO
+        chosen, ratio = turned(spp, edges)
+        return self._lattice(spp, False, chosen), ratio
 
     def _lattice(self, spp: float, lines: bool, chosen: tuple[int, int, int] | None = None) -> LatticeRound:
         if (spp, lines, chosen) not in self._lattices:

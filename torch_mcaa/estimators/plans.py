@@ -11,7 +11,7 @@ from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.blocks import BLOCK, shape_of, sizes_of
 from torch_mcaa.estimators.located.jump_corrector import STEPS
-from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES, odd
 from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
 
@@ -111,7 +111,7 @@ def _lines(
     jumps = judged.verdict == Verdict.JUMPS
     if not plain:
         count = max(FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
-        return torch.full_like(quiet, count - 1 + count % 2, dtype=torch.int64), torch.where(jumps, cost, pixels)
+        return torch.full_like(quiet, odd(count), dtype=torch.int64), torch.where(jumps, cost, pixels)
     share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, FEWEST_LINES / _SAFE * cost)), share)
     dear = FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
     busy = jumps & (FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
@@ -122,7 +122,7 @@ def _lines(
         count = min(most, int(both if alike else alone))
         if count >= min(_ENOUGH_LINES, most) or (count >= FEWEST_LINES and not bool((busy & dear).any())):
             few = int(busy.sum()) < _SPARSE * int(jumps.sum())
-            count = FEWEST_LINES if few else count - 1 + count % 2
+            count = FEWEST_LINES if few else odd(count)
             calm = count if alike and not few else most if bool((busy | quiet).all()) else min(most, _CALM_LINES)
             return torch.where(busy, count, torch.where(quiet, calm, 0)), cost
         # for its size: a block that the screen cuts costs little even where it costs most a pixel

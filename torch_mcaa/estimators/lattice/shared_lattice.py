@@ -112,11 +112,14 @@ class LatticeRound(Round):
             blind=found.blind,
         )
 
-    def measured(self, cell: Cell, look: Look | None = None) -> Measured:
-        """Evaluate f in and around `cell` and weigh the samples, which `look` is shown too: from plane 0 on again where some are not finite."""
+    def measured(self, cell: Cell, look: Look | None = None, ratio: float = CHARACTER_RATIO) -> Measured:
+        """Evaluate f in and around `cell` and weigh the samples, which `look` is shown too: from plane 0 on again where some are not finite.
+
+        ratio: what the squares of the character sums are expected to be over the variance, but for noise.
+        """
         task = self.task
         if task.compiled and not task.integrand.refused and look is None:
-            found = self._by_graph(cell)
+            found = self._by_graph(cell, ratio)
             if found is not None:
                 return found
         at = self.weights.geometry(cell)
@@ -129,7 +132,7 @@ class LatticeRound(Round):
             masks = Splat(weights, cell, at, contrast=False)
             poles = Poles(task, cell, self.per_pixel, self.order)
             value, power, seen, left, invalid = self._sums(cell, at, splat, masks, poles, look)
-        variance, blind = (torch.zeros_like(value), None) if power is None else _variance(power, seen)
+        variance, blind = (torch.zeros_like(value), None) if power is None else _variance(power, seen, ratio)
         if left is not None:
             if task.integrand.nonfinite == "propagate":
                 value = torch.where(left > 1 - 1e-5, value, torch.nan)
@@ -142,7 +145,7 @@ class LatticeRound(Round):
             invalid = torch.zeros(cell.height, cell.width, dtype=torch.int32, device=task.device)
         return Measured(value, variance, invalid, heavy, blind)
 
-    def _by_graph(self, cell: Cell) -> Measured | None:
+    def _by_graph(self, cell: Cell, ratio: float) -> Measured | None:
         """The same by the compiled graph; None if there is none, or f is not finite everywhere."""
         task, at = self.task, self.weights.geometry(cell)
         if self._fused is None:
@@ -157,7 +160,7 @@ class LatticeRound(Round):
             return None
         audit = self.audit
         seen = [] if audit is None else [audit.judged(cell, at, s, m) for s, m in zip(found.seen, found.more, strict=True)]
-        variance, blind = _variance(found.power, seen)
+        variance, blind = _variance(found.power, seen, ratio)
         poles = Poles(task, cell, self.per_pixel, self.order)
         for channel in range(len(found.norms)):
             poles.note(channel, found.norms[channel])
@@ -273,12 +276,12 @@ class LatticeRound(Round):
         return row.clamp(0, self.task.screen.height * (1 - 2.0**-50))
 
 
-def _variance(power: Tensor, seen: list[Seen]) -> tuple[Tensor, Tensor | None]:
+def _variance(power: Tensor, seen: list[Seen], ratio: float) -> tuple[Tensor, Tensor | None]:
     """That of the values (C, h, w), from the squared character sums and what an audit, if there is one, saw of each channel; and its part of it."""
     variance = pooled(power)
     if not seen:
-        return variance.mul_(1 / CHARACTER_RATIO), None
-    variance.mul_(1 / CHARACTER_RATIO + (1 / NOISE_RATIO - 1 / CHARACTER_RATIO) * torch.stack([s.noise for s in seen]))
+        return variance.mul_(1 / ratio), None
+    variance.mul_(1 / ratio + (1 / NOISE_RATIO - 1 / ratio) * torch.stack([s.noise for s in seen]))
     blind = torch.stack([s.blind for s in seen])
     if not bool((blind > 0).any()):
         return variance, None

@@ -23,7 +23,7 @@ from torch_mcaa.estimators.located.blocks import told
 from torch_mcaa.estimators.located.counted import Counted, Spent, on_screen
 from torch_mcaa.estimators.located.regular import regular
 from torch_mcaa.estimators.located.sides import sides
-from torch_mcaa.estimators.located.thin_pieces import FIRST, THINNEST, ThinPieces, widened
+from torch_mcaa.estimators.located.thin_pieces import THINNEST, ThinPieces, share_of, widened
 from torch_mcaa.integrand import BLOCK as INTEGRAND
 from torch_mcaa.integrand import width_of
 from torch_mcaa.patterns import Lattice
@@ -40,6 +40,11 @@ _DECIDED = 0.5
 _SHIFT = 0x11E5
 _AT_ONCE = 4 * INTEGRAND
 """Samples of a shift that are held at a time."""
+
+
+def odd(count: int) -> int:
+    """Points of a lattice, no more than so many: it has an odd number."""
+    return count - 1 + count % 2
 
 
 @dataclass(frozen=True)
@@ -187,7 +192,7 @@ class Leveller:
         )
         if self.ask.task.followed is None:
             every = [
-                self._continued(c, lines, here, seed, FIRST if known is None else 1.0) for c, here in zip(every, used, strict=True)
+                self._continued(c, lines, here, seed, share_of(known is not None)) for c, here in zip(every, used, strict=True)
             ]
         if lines.number == 0 and self.ask.task.dtype != torch.float64:
             # that lattice was not asked as jumps are

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.corrected import Corrected, merged
 from torch_mcaa.estimators.located.counted import Spent
-from torch_mcaa.estimators.located.jump_level import FEWEST_LINES, Leveller
+from torch_mcaa.estimators.located.jump_level import FEWEST_LINES, Leveller, odd
 
 AROUND = 5
 """Px: how far from where samples hit a piece it is looked for."""
@@ -28,8 +28,7 @@ def sparser(work: Leveller, count: int, wanted: Tensor, unpaid: float) -> Correc
     if not unpaid or not bool(wanted.any()):
         return None
     pixels = int(dilated(wanted, work.window.halo).count_nonzero())
-    fewer = min(count, int(_SAFE * work.ask.left / (2 * (pixels + unpaid / count))))
-    fewer -= 1 - fewer % 2
+    fewer = odd(min(count, int(_SAFE * work.ask.left / (2 * (pixels + unpaid / count)))))
     if fewer < FEWEST_LINES:
         return None
     work.thin.lost = torch.zeros_like(work.thin.lost)

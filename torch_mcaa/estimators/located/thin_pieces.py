@@ -14,8 +14,8 @@ from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.blocks import by_block, by_pixel, pixels_of, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent
 
-FIRST = 0.45
-"""The share of what is left that a first shift may spend on thin pieces."""
+_FIRST = 0.45
+"""The share of what is left that a first shift may spend on what it follows."""
 THINNEST = 2.0**-12
 """Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
 _TIMES, _WALK = 4.0, 0.1
@@ -64,7 +64,7 @@ class ThinPieces:
         none = crossings.take(slice(0))
         if not thin_pieces(crossings, lines):
             return crossings, none
-        origin, share = (self.cell.row - self.reach, self.cell.col - self.reach), 1.0 if foretold else FIRST
+        origin, share = (self.cell.row - self.reach, self.cell.col - self.reach), share_of(foretold)
         attempts = _ATTEMPTS
         while True:
             wanted = widened(used & ~self.lost, self.reach)
@@ -105,6 +105,11 @@ class ThinPieces:
         hits[pixels_of(self.cell, hit.axis, hit.place, hit.across)] = True
         self.hits = self.hits | hits
         self.lost = self.lost | by_pixel((by_block(hits, self.cell) > 0).view(shape_of(self.cell)), self.cell)
+
+
+def share_of(foretold: bool) -> float:
+    """Of what is left, what a shift may spend on what it follows: all of it where an earlier one has foretold that."""
+    return 1.0 if foretold else _FIRST
 
 
 def widened(wanted: Tensor, by: int) -> Tensor:
