@@ -345,6 +345,31 @@ def test_spp_counts_the_points_in_each_pixel(estimator: mcaa.Auto, boundary: str
         assert torch.equal(picture.spp, counted)
 
 
+@pytest.mark.parametrize("value", [0.0, 1e-40, 3.3, 10.0, -200.0, 255.0, 65504.0, 1e15])
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared()], ids=repr)
+def test_constants_of_any_size(value: float, estimator: mcaa.Auto) -> None:
+    """In sizes that have a pilot; alone, beside a channel that changes, and with a change that float32 rounds to steps or nothing."""
+    for f in (
+        lambda x, y: torch.full_like(x, value),
+        lambda x, y: (torch.full_like(x, value), x),
+        lambda x, y: value + 1e-7 * value * x,
+    ):
+        for size, spp in (((30, 40), 16), ((64, 64), 64), ((1, 500), 8)):
+            picture = mcaa.render(f, size, estimator=estimator, spp=spp)
+            # a sum of some 60 numbers that are known to 1.4e-45
+            assert float((picture.image[0] - value).abs().max()) <= max(1e-4 * abs(value), 9e-44)
+            assert bool(picture.stderr.isfinite().all())
+
+
+def test_values_beyond_what_can_be_squared_are_said() -> None:
+    with pytest.warns(McaaWarning, match=r"squares are beyond torch.float32.*float64"):
+        picture = mcaa.render(lambda x, y: 1e30 * torch.sin(x), (16, 16))
+    assert bool(picture.image.isfinite().all()) and bool(picture.stderr.isinf().all())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert bool(mcaa.render(lambda x, y: 1e30 * torch.sin(x), (16, 16), dtype=torch.float64).stderr.isfinite().all())
+
+
 @pytest.mark.parametrize("value", [0.0, 0.7, -3e4])
 @pytest.mark.parametrize("estimator", ESTIMATORS, ids=repr)
 def test_standard_error_is_never_zero_by_ignorance(estimator: mcaa.Auto, value: float) -> None:

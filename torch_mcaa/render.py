@@ -160,10 +160,18 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
             McaaWarning,
             stacklevel=3,
         )
+    # differences of infinite variances say nothing
+    stderr = picture.variance.nan_to_num_(nan=torch.inf, posinf=torch.inf).sqrt_()
+    largest = picture.value.nan_to_num(0.0).abs().amax()
+    if bool(largest.square().isinf()) and bool(stderr.isinf().any()):
+        warnings.warn(
+            f"f has values of {float(largest):.3g}, whose squares are beyond {picture.value.dtype}: standard errors of +inf; scale f, or take float64",
+            McaaWarning,
+            stacklevel=3,
+        )
     return Rendering(
         image=picture.value,
-        # differences of infinite variances say nothing
-        stderr=picture.variance.nan_to_num_(nan=torch.inf, posinf=torch.inf).sqrt_(),
+        stderr=stderr,
         spp=picture.points,
         invalid=picture.invalid,
         model=torch.zeros_like(picture.points, dtype=torch.uint8) if work.model is None else work.model,

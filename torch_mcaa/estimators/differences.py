@@ -41,7 +41,9 @@ class Differences(NamedTuple):
     @staticmethod
     def of(values: Tensor) -> Differences:
         """Of samples (C, h, w), one in each pixel of a cell."""
-        span = (values.amax((1, 2)) - values.amin((1, 2))).clamp_min(torch.finfo(values.dtype).tiny)[:, None, None]
+        span = (values.amax((1, 2)) - values.amin((1, 2)))[:, None, None]
+        # a constant has no range to be measured in, and no differences
+        span = torch.where(span > 0, span, 1)
         steps = [torch.nn.functional.pad(torch.diff(values / span, dim=d), pad) for d, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))]
         largest = [step.abs().amax(0) for step in steps]
         # a median above a number: more than half are
