@@ -104,7 +104,7 @@ def test_exponents() -> None:
     found = exponent(costs, [c**-1 * math.exp(s * off) for c, s in zip(costs, (1, -1, -1, 1), strict=True)])
     assert found == pytest.approx((1.0, math.sqrt(4 * off**2 / 2 / (5 * math.log(2) ** 2))))
     assert exponent(costs[:2], [1.0, 0.5]) is None
-    assert exponent([4.0] * 3, [1.0, 0.5, 0.2]) is None
+    assert exponent([4.0, 7.9, 5.0], [1.0, 0.5, 0.2]) is None
 
 
 @pytest.mark.parametrize(("truth", "limits"), [(0.0, ["", "", "", "float32"]), (6e-3, ["", "", "truth", "truth"])])
@@ -406,6 +406,7 @@ def one_nan(x: Tensor, y: Tensor) -> Tensor:
         ({"f": 3}, "f must be a function"),
         ({"f": {}}, "at least one"),
         ({"f": {"a b": DISC, "a-b": DISC}}, "must differ.*rename one"),
+        ({"f": {1: DISC}}, r"the names \[1\]; name them with strings"),
         ({"estimators": {"Auto": "auto"}}, "estimators must map names to estimators"),
         ({"estimators": {"A()": mcaa.Auto(), "a": mcaa.Shared()}}, "must differ.*rename one"),
         ({"budgets": (4, 4)}, r"budgets must be increasing integers above 0, got \(4, 4\)"),
@@ -433,6 +434,26 @@ def test_a_closed_form_that_fails(tmp_path: Path) -> None:
     with pytest.raises(McaaError, match=r"f\.exact\(cx, cy, filter\) must return 1 channels .*raised RuntimeError.*mend it"):
         made(tmp_path / "new", f)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_closed_form_of_one_number(tmp_path: Path) -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return torch.full_like(x, 0.25)
+
+    f.exact = lambda cx, cy, w: 0.25  # pyright: ignore[reportFunctionMemberAccess]
+    chart = made(tmp_path, f, estimators={"Shared()": mcaa.Shared()}, budgets=(4,), seeds=1)
+    assert all(point.rmse < 1e-6 for point in chart.points)
+
+
+def test_a_folder_that_is_no_path() -> None:
+    with pytest.raises(McaaError, match="folder must be a path, got 3"):
+        mcaa.chart(ring, (4, 4), folder=3)  # pyright: ignore[reportArgumentType]
+
+
+def test_names_that_matplotlib_would_take_for_formulas(tmp_path: Path) -> None:
+    name = "$\\foo{$ " + 60 * "long"
+    chart = made(tmp_path, {name: DISC}, estimators={"$\\bar{$": mcaa.Shared()}, budgets=(4,), seeds=1)
+    assert chart.points[0].scene == name and (tmp_path / "chart.png").is_file()
 
 
 def test_a_size_of_nothing(tmp_path: Path) -> None:

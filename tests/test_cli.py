@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -70,7 +71,13 @@ def number(x, y):
 
 
 def interrupted(x, y):
-    raise KeyboardInterrupt
+    if (x > 560).any() or (y > 20).any():
+        raise KeyboardInterrupt
+    return disc(x, y)
+
+
+def two(x, y):
+    return x / 16, y / 12
 
 
 def slow(x, y):
@@ -249,12 +256,48 @@ def test_what_was_not_finite_is_said(folder: Path, run: Run) -> None:
 
 
 def test_ctrl_c_writes_what_there_is(folder: Path, run: Run) -> None:
-    status, out, err = run("render", "scene.py:interrupted", "--size", "8x8", "-o", "out.npz")
+    status, out, err = run("render", "scene.py:interrupted", "--size", "640x8", "-o", "out.npz")
     assert status == 130
     assert "stopped by interrupted" in out
     assert err.startswith("mcaa: interrupted")
     assert err.count("\n") == 1
-    assert bool(read_image("out.npz").isnan().all())
+    missing = read_image("out.npz").isnan()
+    assert not bool(missing[..., :512].any()) and bool(missing[..., 512:].all())
+
+
+def test_ctrl_c_before_there_is_a_pixel_writes_nothing(folder: Path, run: Run) -> None:
+    status, out, err = run("render", "scene.py:interrupted", "--size", "8x40", "-o", "out.npz")
+    assert (status, out) == (130, "") and err == "mcaa: interrupted, before there was anything to write\n"
+    assert not Path("out.npz").exists()
+
+
+def test_channels_that_the_file_cannot_hold_are_told_before_the_work(folder: Path, run: Run) -> None:
+    # whose pixels would take an hour
+    status, _, err = run("render", "scene.py:two", "--size", "60000x60000", "-o", "out.png")
+    assert status == 2 and "got 2; write .exr" in err and not Path("out.png").exists()
+
+
+def test_fractions_as_the_help_writes_them(folder: Path, run: Run) -> None:
+    assert run("render", "scene.py:disc", "--size", "8x8", "--filter", "mitchell:1/3,1/3", "-o", "out.npz")[0] == 0
+    status, _, err = run("render", "scene.py:disc", "--size", "8x8", "--filter", "mitchell:1/3,1/0", "-o", "no.npz")
+    assert status == 2 and "received '1/0'" in err
+
+
+def test_scenes_of_one_name_in_two_folders(folder: Path, run: Run) -> None:
+    """Each with a neighbour of the same name, too."""
+    for number, name in enumerate(("one", "other")):
+        Path(name).mkdir()
+        Path(name, "scene.py").write_text("from helper import level\n\ndef f(x, y):\n    return x * 0 + level + (x > 4)\n")
+        Path(name, "helper.py").write_text(f"level = {number}\n")
+    options = ("--size", "8x8", "--budgets", "4", "--seeds", "1")
+    status, _, err = run("chart", "one/scene.py:f", "other/scene.py:f", *options, "-o", "made")
+    assert status == 0, err
+    truths = json.loads(Path("made", "results.json").read_text())["settings"]["scenes"]
+    assert list(truths) == ["one/scene.py:f", "other/scene.py:f"] and len(set(truths.values())) == 2
+    levels = [load_function(f"{name}/scene.py:f")(torch.zeros(1), torch.zeros(1)).item() for name in ("one", "other")]
+    assert levels == [0, 1] and "helper" not in sys.modules
+    status, _, err = run("chart", "one/scene.py:f", "one/scene.py:f", *options, "-o", "twice")
+    assert status == 2 and "each scene is charted once" in err
 
 
 def test_no_time_writes_nothing(folder: Path, run: Run) -> None:
@@ -326,8 +369,8 @@ WRONG: dict[str, tuple[tuple[str, ...], str]] = {
     "f returns a number": (("render", "scene.py:number", *SIZED, "-o", "new.png"), "got float 0.5"),
     "a class as f": (("render", "scene.py:Disc", *SIZED, "-o", "new.png"), "got the class Disc"),
     "size nonsense": (("render", "scene.py:disc", "--size", "big", "-o", "new.png"), "WIDTHxHEIGHT.*'big'"),
-    "size 0x5": (("render", "scene.py:disc", "--size", "0x5", "-o", "new.png"), "width 0"),
-    "size 5x0": (("render", "scene.py:disc", "--size", "5x0", "-o", "new.png"), "height 0"),
+    "size 0x5": (("render", "scene.py:disc", "--size", "0x5", "-o", "new.png"), "WIDTHxHEIGHT.*above 0"),
+    "size 5x0": (("render", "scene.py:disc", "--size", "5x0", "-o", "new.png"), "WIDTHxHEIGHT.*above 0"),
     "size -5x5": (("render", "scene.py:disc", "--size=-5x5", "-o", "new.png"), "WIDTHxHEIGHT"),
     "size 5x5x5": (("render", "scene.py:disc", "--size", "5x5x5", "-o", "new.png"), "WIDTHxHEIGHT"),
     "size 5.5x5": (("render", "scene.py:disc", "--size", "5.5x5", "-o", "new.png"), "WIDTHxHEIGHT"),

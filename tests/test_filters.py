@@ -469,6 +469,7 @@ def test_what_lies_beyond_a_place(filter: Filter, axis: int) -> None:
         ("gaussian: 0.5, 2", Gaussian(0.5, 2.0)),
         ("mitchell", Mitchell()),
         ("mitchell:0.333,0.333", Mitchell(0.333, 0.333)),
+        ("mitchell:1/3, 1/3", Mitchell(1 / 3, 1 / 3)),
         ("catmull-rom", CatmullRom()),
         ("CatmullRom", CatmullRom()),
         ("lanczos:3", Lanczos(3)),

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import torch_mcaa as mcaa
-from torch_mcaa.errors import McaaError
+from torch_mcaa.errors import McaaError, McaaWarning
 from torch_mcaa.integrand import BLOCK, Integrand
 
 X = torch.linspace(0, 3, 256)
@@ -125,6 +125,7 @@ REFUSED: dict[str, tuple[Returned, str]] = {
     "a tuple of points": (lambda x, y: tuple(x), r"shape \(256,\), got a tensor of shape \(\)"),
     "a nested tuple": (lambda x, y: ((x, y), x), "got a tuple of 2"),
     "complex": (lambda x, y: torch.complex(x, y), "complex64.*real part"),
+    "sparse": (lambda x, y: x.to_sparse(), "torch.sparse_coo.*to_dense"),
     "another device": (lambda x, y: x.to("meta"), "asked on cpu.*on meta.*device='meta'"),
     "another device in a tuple": (lambda x, y: (x, y.to("meta")), "asked on cpu.*on meta"),
 }
@@ -285,14 +286,16 @@ def test_raise_names_the_first_place(value: float, estimator: mcaa.Auto) -> None
 def test_raise_names_the_channel_and_what_float32_cannot_hold() -> None:
     with pytest.raises(McaaError, match=r"returned inf .*channel 1"):
         mcaa.render(lambda x, y: (x, torch.full_like(x, 1e300, dtype=torch.float64)), SIZE)
-    picture = mcaa.render(lambda x, y: torch.full_like(x, 1e300, dtype=torch.float64), SIZE, dtype=torch.float64)
+    with pytest.warns(McaaWarning, match="squares are beyond torch.float64"):
+        picture = mcaa.render(lambda x, y: torch.full_like(x, 1e300, dtype=torch.float64), SIZE, dtype=torch.float64)
     assert float((picture.image / 1e300 - 1).abs().max()) < 1e-14
 
 
 def test_large_finite_values_do_not_raise() -> None:
     """Their sum overflows float32; they do not."""
     assert len(Integrand(lambda x, y: torch.full_like(x, 3e38))(X, Y)) == 1
-    picture = mcaa.render(lambda x, y: torch.full_like(x, 1e38), SIZE, spp=2)
+    with pytest.warns(McaaWarning, match="squares are beyond torch.float32"):
+        picture = mcaa.render(lambda x, y: torch.full_like(x, 1e38), SIZE, spp=2)
     assert float((picture.image / 1e38 - 1).abs().max()) < 1e-6
     assert int(picture.invalid.sum()) == 0
 

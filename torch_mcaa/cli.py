@@ -94,14 +94,17 @@ def render(
     transform: Annotated[
         str | None, typer.Option(help="9 numbers a,b,c,... row by row: screen pixels to texels of an image")
     ] = None,
-    interpolation: Annotated[str, typer.Option(help="nearest, bilinear or bicubic, of an image")] = "bilinear",
-    wrap: Annotated[str, typer.Option(help="zeros, border, repeat or mirror, of an image")] = "border",
+    interpolation: Annotated[str | None, typer.Option(help="nearest, bilinear (the default) or bicubic, of an image")] = None,
+    wrap: Annotated[str | None, typer.Option(help="zeros, border (the default), repeat or mirror, of an image")] = None,
     force: Annotated[bool, typer.Option("--force", help="write over a file that is there")] = False,
 ) -> None:
     """Render a user's function, or an image through a transform, to a file."""
+    import torch
+
     from torch_mcaa import render as _render
     from torch_mcaa.filters import parse_filter
-    from torch_mcaa.image_io import check_target
+    from torch_mcaa.image_io import check_channels, check_target
+    from torch_mcaa.integrand import Integrand
 
     check_target(output, force=force)
     if bits is not None and (bits not in (8, 16) or output.suffix.lower() != ".png"):
@@ -111,10 +114,14 @@ def render(
     if _is_image(scene):
         f, natural = _texture(scene, transform, interpolation, wrap)
         shape = natural if size is None else _size(size)
+        check_channels(output, len(f.image))
     else:
-        if transform is not None:
-            raise McaaError(f"--transform is for image files, and {scene!r} is a function; transform x and y in it")
+        for option, given in (("transform", transform), ("interpolation", interpolation), ("wrap", wrap)):
+            if given is not None:
+                raise McaaError(f"--{option} is for image files, and {scene!r} is a function; do that to x and y in it")
         f, shape = load_function(scene), _size(size or "512x512")
+        if output.suffix.lower() == ".png" and not isinstance(f, type):
+            check_channels(output, len(Integrand(f, nonfinite="propagate")(torch.zeros(1), torch.zeros(1))))
     with warnings.catch_warnings(record=True) as said:
         # whatever filters ask for: a line each, below
         warnings.simplefilter("always", McaaWarning)
@@ -131,7 +138,10 @@ def render(
             nonfinite=nonfinite,  # pyright: ignore[reportArgumentType]
             seed=seed,
         )
-    if picture.stopped == "seconds" and not bool(picture.spp.any()) and bool(picture.image.isnan().all()):
+    if picture.stopped in ("seconds", "interrupted") and not bool(picture.spp.any()) and bool(picture.image.isnan().all()):
+        if picture.stopped == "interrupted":
+            print("mcaa: interrupted, before there was anything to write", file=sys.stderr)
+            sys.exit(130)
         raise McaaError(f"no pixel had a sample when the time was up, and nothing is written; give more than --seconds {seconds:g}")
     picture.save(output, bits=bits, force=force)
     error = picture.stderr[picture.stderr.isfinite()]
@@ -153,7 +163,12 @@ def render(
 
 @app.command()
 def chart(
-    scenes: Annotated[list[str], typer.Argument(help="scene.py:f, or the name of a built-in scene such as star; one or more")],
+    scenes: Annotated[
+        list[str],
+        typer.Argument(
+            help="scene.py:f, or the name of a built-in scene such as star or disc, of which mcaa demo draws all; one or more"
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="the folder for the chart")] = Path("mcaa-chart"),
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels")] = "256x256",
     budgets: Annotated[str, typer.Option(help="evaluations a pixel, increasing")] = "4,8,16,32,64",
@@ -170,7 +185,12 @@ def chart(
     from torch_mcaa.filters import parse_filter
 
     shape = _size(size)
-    functions = dict(_scene(scene, shape) for scene in scenes)
+    named = [_scene(scene, shape) for scene in scenes]
+    names = [name for name, _ in named]
+    # files of one name are told apart by their folders
+    functions = {name if names.count(name) == 1 else place: function for place, (name, function) in zip(scenes, named, strict=True)}
+    if len(functions) < len(scenes):
+        raise McaaError(f"each scene is charted once, got {', '.join(scenes)}")
     try:
         made = _chart(
             functions,
@@ -229,14 +249,19 @@ def load_function(place: str) -> Callable[..., Any]:
     module = importlib.util.module_from_spec(spec)
     # as for a program: dataclasses look their module up, and f may import its neighbours when it is called
     sys.modules[spec.name] = module
-    sys.path.insert(0, str(file.parent.resolve()))
+    folder, known = file.parent.resolve(), set(sys.modules)
+    sys.path.insert(0, str(folder))
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise McaaError(f"{path} raised {type(error).__name__} when it was loaded: {error}") from error
+    for other in set(sys.modules) - known:
+        # a scene of another folder may have a neighbour of the same name
+        if folder in Path(getattr(sys.modules[other], "__file__", None) or "/").parents:
+            del sys.modules[other]
     if not hasattr(module, name):
-        known = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
-        raise McaaError(f"{path} has no {name!r}; it has {', '.join(known) if known else 'no functions'}")
+        functions = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
+        raise McaaError(f"{path} has no {name!r}; it has {', '.join(functions) if functions else 'no functions'}")
     f = getattr(module, name)
     if not callable(f):
         raise McaaError(f"{name!r} in {path} is {type(f).__name__}, not a function of x and y")
@@ -247,7 +272,7 @@ def _is_image(scene: str) -> bool:
     return Path(scene).suffix.lower() in _IMAGES
 
 
-def _texture(path: str, transform: str | None, interpolation: str, wrap: str) -> tuple[Any, tuple[int, int]]:
+def _texture(path: str, transform: str | None, interpolation: str | None, wrap: str | None) -> tuple[Any, tuple[int, int]]:
     import torch
 
     from torch_mcaa.image_io import read_image
@@ -257,7 +282,7 @@ def _texture(path: str, transform: str | None, interpolation: str, wrap: str) ->
     matrix = None
     if transform is not None:
         matrix = torch.tensor(_numbers(transform, 9, "--transform"), dtype=torch.float64).reshape(3, 3)
-    texture = Texture(image, interpolation, wrap, transform=matrix)  # pyright: ignore[reportArgumentType]
+    texture = Texture(image, interpolation or "bilinear", wrap or "border", transform=matrix)  # pyright: ignore[reportArgumentType]
     return texture, (image.shape[1], image.shape[2])
 
 
@@ -282,8 +307,8 @@ def _estimator(name: str) -> Any:
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise McaaError(f"a size is written WIDTHxHEIGHT, for instance 1920x1080, got {text!r}")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise McaaError(f"a size is written WIDTHxHEIGHT in whole numbers above 0, for instance 1920x1080, got {text!r}")
     return int(height), int(width)
 
 

@@ -170,6 +170,8 @@ def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
         raise McaaError(
             f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}"
         )
+    if value.layout != torch.strided:
+        raise McaaError(f"f returned a tensor of layout {value.layout}; return value.to_dense()")
     if value.is_complex():
         raise McaaError(f"f returned {value.dtype}; a colour is real: return the real part, the modulus, or both as channels")
     return value.to(dtype).contiguous()

@@ -165,7 +165,8 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
     largest = picture.value.nan_to_num(0.0).abs().amax()
     if bool(largest.square().isinf()) and bool(stderr.isinf().any()):
         warnings.warn(
-            f"f has values of {float(largest):.3g}, whose squares are beyond {picture.value.dtype}: standard errors of +inf; scale f, or take float64",
+            f"f has values of {float(largest):.3g}, whose squares are beyond {picture.value.dtype}: standard errors of +inf; scale f, or take "
+            "float64",
             McaaWarning,
             stacklevel=3,
         )

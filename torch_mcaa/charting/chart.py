@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -62,7 +63,8 @@ def chart(
     """Chart error against evaluations and seconds, for every estimator and for what one would use instead, into a folder.
 
     Writes the files that `torch_mcaa.charting` lists. Called again with equal settings on the same machine it goes on where it was
-    interrupted. The truth is `f.exact(cx, cy, filter)` where f has it, as built-in scenes do, else `charting.truth.reference`. Pictures are
+    interrupted. The truth is `f.exact(cx, cy, filter)` where f has it, as built-in scenes do (float64 pixel centres (1, W) and
+    (H, 1) to what expands to (C, H, W)), else `charting.truth.reference`. Pictures are
     float32, errors root mean squares over the pixels that are not flat: those where the truth differs by over a hundredth of its
     range within 3 x 3 pixels.
 
@@ -91,7 +93,7 @@ def chart(
     ('Shared()', 4)
     """
     functions = dict(f) if isinstance(f, Mapping) else {getattr(f, "__name__", type(f).__name__): f}
-    _check(functions, estimators, budgets, seeds)
+    _check(functions, folder, estimators, budgets, seeds)
     chosen = Gaussian(0.5) if filter is None else filter
     subjects = [Subject.of(name, function, size, chosen, extent) for name, function in functions.items()]
     if math.prod(subjects[0].size) * max(budgets) > _MOST:
@@ -155,9 +157,13 @@ def _settings(subjects: list[Subject], methods: list[Method], budgets: list[int]
     }
 
 
-def _check(functions: dict[str, Function], estimators: object, budgets: Sequence[int], seeds: object) -> None:
+def _check(functions: dict[str, Function], folder: object, estimators: object, budgets: Sequence[int], seeds: object) -> None:
     if not functions:
         raise McaaError("f must be a function, or a mapping with at least one, got an empty one; name a scene")
+    if not all(isinstance(name, str) for name in functions):
+        raise McaaError(f"f must be a function, or functions by name, got the names {list(functions)!r}; name them with strings")
+    if not isinstance(folder, (str, os.PathLike)):
+        raise McaaError(f"folder must be a path, got {folder!r}; pass a name such as 'mcaa-chart'")
     if len({plain(name) for name in functions}) < len(functions):
         raise McaaError(f"the names of the scenes must differ in letters and digits, got {', '.join(functions)}; rename one")
     if not (estimators is None or (isinstance(estimators, Mapping) and all(isinstance(e, Estimator) for e in estimators.values()))):

@@ -57,7 +57,7 @@ def whole(points: Sequence[Point], store: Store) -> Figure:
                 axes = figure.add_subplot(grid[row, column])
                 draw(axes, panel, mine, store)
                 if column == 0:
-                    axes.set_title(_title(scene, store), loc="left", fontsize=10.5, fontweight="bold")
+                    axes.set_title(_title(scene, store), loc="left", fontsize=10.5, fontweight="bold", parse_math=False)
             _legend(figure.add_subplot(grid[row, 3]), mine)
     return figure
 
@@ -173,7 +173,7 @@ def _ticks(axes: Axes) -> None:
 def _title(scene: str, store: Store) -> str:
     truth = store.truths[scene]
     height, width = store.settings["size"]
-    return f"{scene}, {width} x {height}, truth: {'closed form' if truth.kind == 'closed form' else 'reference, its error shaded'}"
+    return f"{_short(scene, 48)}, {width} x {height}, truth: {'closed form' if truth.kind == 'closed form' else 'reference, its error shaded'}"
 
 
 def _legend(axes: Axes, points: Sequence[Point]) -> None:
@@ -190,9 +190,13 @@ def _legend(axes: Axes, points: Sequence[Point]) -> None:
         y, look = 1 - (row + 1) * step, looks[method]
         axes.plot([-0.1, -0.06, -0.02], [y] * 3, color=look.color, linestyle=look.dashes, linewidth=look.width, clip_on=False)
         axes.plot([-0.06], [y], color=look.color, marker=look.marker, markersize=4 + look.width, clip_on=False)
-        axes.text(0.0, y, method, va="center", fontsize=8)
+        axes.text(0.0, y, _short(method, 40), va="center", fontsize=8, parse_math=False)
         axes.text(0.6, y, power(point.per_evaluation, point.per_evaluation_error), va="center", fontsize=8)
         axes.text(0.82, y, power(point.per_second, point.per_second_error), va="center", fontsize=8)
+
+
+def _short(name: str, most: int) -> str:
+    return name if len(name) <= most else name[: most - 1] + "…"
 
 
 def power(p: float | None, error: float | None) -> str:

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 FLOAT32 = 8 * 2.0**-23
 """Of the magnitude of the values: an error this small may be one of rounding, in the sums or in f (a zone plate of 128 px has 5 of them)."""
 
+_APART = 2
+"""Times: costs that differ by less, as the seconds of small pictures do by chance, tell no exponent."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -73,14 +76,12 @@ class Point:
 
 
 def exponent(costs: Sequence[float], errors: Sequence[float]) -> tuple[float, float] | None:
-    """p of error ~ cost^-p by least squares on logarithms, and its standard error; None for fewer than 3 points or one cost."""
-    if len(costs) < 3:
+    """p of error ~ cost^-p by least squares on logarithms, and its standard error; None for fewer than 3 points, or costs that are nearly one."""
+    if len(costs) < 3 or max(costs) < _APART * min(costs):
         return None
     x, y = [math.log(c) for c in costs], [math.log(e) for e in errors]
     mx, my = statistics.fmean(x), statistics.fmean(y)
     spread = math.fsum((a - mx) ** 2 for a in x)
-    if spread < 1e-12:
-        return None
     slope = math.fsum((a - mx) * (b - my) for a, b in zip(x, y, strict=True)) / spread
     left = math.fsum((b - my - slope * (a - mx)) ** 2 for a, b in zip(x, y, strict=True))
     return -slope, math.sqrt(left / (len(x) - 2) / spread)

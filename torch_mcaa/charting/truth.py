@@ -74,7 +74,7 @@ def closed_form(subject: Subject) -> Truth | None:
     x, y = Screen.of(subject.size).centres()
     try:
         value = exact(x[None, :], y[:, None], subject.filter)
-        value = value.double().reshape(-1, *subject.size).expand(subject.channels, -1, -1).contiguous()
+        value = torch.as_tensor(value).double().broadcast_to(subject.channels, *subject.size).contiguous()
     except McaaError:
         return None
     except Exception as error:

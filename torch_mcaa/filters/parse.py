@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from fractions import Fraction
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.filters.base import Filter
@@ -28,7 +29,7 @@ _FILTERS: dict[str, Callable[..., Filter]] = {
 
 
 def parse_filter(text: str) -> Filter:
-    """The filter that `text` names: a name, then its arguments in order after a colon: "mitchell:0.33,0.33".
+    """The filter that `text` names: a name, then its arguments in order after a colon: "mitchell:1/3,1/3".
 
     Case, hyphens and underscores in the name count for nothing. Raises McaaError for an unknown name (it
     lists the known ones), for too many arguments, and for one that the filter refuses.
@@ -50,8 +51,9 @@ def parse_filter(text: str) -> Filter:
 
 def _number(part: str, text: str) -> float:
     try:
-        return float(part)
-    except ValueError:
+        return float(Fraction(part)) if "/" in part else float(part)
+    except (ValueError, ZeroDivisionError):
         raise McaaError(
-            f"arguments of a filter must be numbers separated by commas; received {part!r} in {text!r}: write it as in gaussian:0.5"
+            f"arguments of a filter must be numbers separated by commas; received {part!r} in {text!r}: write them as in gaussian:0.5 or "
+            "mitchell:1/3,1/3"
         ) from None

@@ -18,6 +18,6 @@ from __future__ import annotations
 
 from torch_mcaa.image_io.read import read_image
 from torch_mcaa.image_io.srgb import srgb_decode, srgb_encode
-from torch_mcaa.image_io.write import check_target, to_srgb8, write_picture
+from torch_mcaa.image_io.write import check_channels, check_target, to_srgb8, write_picture
 
-__all__ = ["check_target", "read_image", "srgb_decode", "srgb_encode", "to_srgb8", "write_picture"]
+__all__ = ["check_channels", "check_target", "read_image", "srgb_decode", "srgb_encode", "to_srgb8", "write_picture"]

@@ -133,10 +133,19 @@ def _layer(name: str, value: Tensor | Array, shape: tuple[int, ...] | None) -> A
     return array
 
 
+def check_channels(path: str | os.PathLike[str], channels: int) -> None:
+    """Raises McaaError where a file of this name cannot hold so many channels. Made to be called before the work begins."""
+    if Path(path).suffix.lower() == ".png":
+        _check_quantised(channels)
+
+
+def _check_quantised(channels: int) -> None:
+    if channels not in (1, 3, 4):
+        raise McaaError(f"8 and 16 bits hold 1, 3 (RGB) or 4 (RGBA) channels, got {channels}; write .exr, .tif or .npz")
+
+
 def _quantised(image: Array, bits: int) -> Array:
-    if len(image) not in (1, 3, 4):
-        mend = "write .exr, .tif or .npz"
-        raise McaaError(f"8 and 16 bits hold 1, 3 (RGB) or 4 (RGBA) channels, got {len(image)}; {mend}")
+    _check_quantised(len(image))
     values = np.where(np.isnan(image), 0, image).clip(0, 1)
     values[:3] = srgb_encode(torch.from_numpy(values[:3])).numpy()
     codes = np.rint(values * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
