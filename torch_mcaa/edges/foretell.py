@@ -12,12 +12,15 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.integrand import width_of
 from torch_mcaa.picking import numbers, pick
 
 _STREAM = 0xF0E7
 _WITHIN = 2.0**-9
 """Px either side: an edge of a radius of 3 px bends less between lines of a fifth of a pixel."""
 _FAR = 2.0**24
+_AT_ONCE = 1 << 12
+"""Segments whose neighbours a CPU holds at a time."""
 
 
 def narrowed_all(ask: Ask, parts: Sequence[Segments], known: Sequence[Crossings], apart: float, seed: int) -> list[Segments]:
@@ -92,20 +95,24 @@ def _foretold(segments: Segments, known: Crossings, apart: float) -> tuple[Tenso
     across, where = (pick(each, order) for each in (known.across, known.place))
     jump, column = pick(known.jump, order), where.floor()
     change, own = segments.after - segments.before, segments.low.floor()
-    any_jump = segments.least.isinf()
     # columns before, at and after the segment's own, and the nearest line above and below in each: (sides, columns, S)
-    columns = own + torch.arange(-1, 3, device=own.device)[:, None]
-    target = columns * _FAR + segments.across
-    one = torch.stack([torch.searchsorted(place, target, right=True), torch.searchsorted(place, target) - 1]).clamp_(
-        0, len(place) - 1
-    )
-    off = across[one] - segments.across
-    off[1].neg_()
-    fits = (column[one] == columns) & (off < apart) & (off >= 0)
-    fits &= (((jump[:, one] - change[:, None, None]).abs() <= segments.least[:, None, None]) | any_jump[:, None, None]).all(0)
-    distance, which = off.masked_fill_(~fits, apart).min(1)
-    nearest = one.gather(1, which[:, None])[:, 0]
-    (above, below), (up, down) = nearest, distance
-    found = (distance < apart).all(0)
-    share = torch.where(up + down > 0, down / (up + down).clamp_min(1e-12), 0.5)
-    return pick(where, below) * (1 - share) + pick(where, above) * share, found
+    found: list[tuple[Tensor, Tensor]] = []
+    step = _AT_ONCE * width_of(place.device)
+    for at in (slice(start, start + step) for start in range(0, len(segments), step)):
+        beside, least, changes = segments.across[at], segments.least[:, None, None, at], change[:, None, None, at]
+        columns = own[at] + torch.arange(-1, 3, device=own.device)[:, None]
+        target = columns * _FAR + beside
+        one = torch.stack([torch.searchsorted(place, target, right=True), torch.searchsorted(place, target) - 1])
+        flat = one.clamp_(0, len(place) - 1).view(-1)
+        off = pick(across, flat).view(one.shape) - beside
+        off[1].neg_()
+        fits = (pick(column, flat).view(one.shape) == columns) & (off < apart) & (off >= 0)
+        fits &= (((pick(jump, flat).view(-1, *one.shape) - changes).abs() <= least) | least.isinf()).all(0)
+        distance, which = off.masked_fill_(~fits, apart).min(1)
+        above, below = one.gather(1, which[:, None])[:, 0]
+        up, down = distance
+        share = torch.where(up + down > 0, down / (up + down).clamp_min(1e-12), 0.5)
+        there = pick(where, below) * (1 - share) + pick(where, above) * share
+        found.append((there, (distance < apart).all(0)))
+    places, good = zip(*found, strict=True)
+    return torch.cat(places), torch.cat(good)

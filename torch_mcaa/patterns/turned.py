@@ -52,7 +52,7 @@ def turned(spp: float, edges: np.ndarray) -> Turned:
     blurred = (1 - _ELSEWHERE) * edges + _ELSEWHERE / DIRECTIONS
     # of mirror images the normals are those of the edges mirrored
     mirrored = -np.arange(DIRECTIONS)
-    score = np.concatenate([power @ edges, power @ edges[mirrored]])
+    score = np.concatenate([(power * some).sum(1) for some in (edges, edges[mirrored])])
     # ties must not hang on the last bits
     best = int(np.argmin((score / score.min()).round(6)))
     longest = 0 if score[0] <= score[len(strips)] else len(strips)
@@ -61,7 +61,8 @@ def turned(spp: float, edges: np.ndarray) -> Turned:
     number, mirror = best % len(strips), best >= len(strips)
     period, count, generator = strips[number]
     directions = blurred[mirrored] if mirror else blurred
-    ratio = CHARACTER_RATIO / _EVERYWHERE * float(halves[number] @ directions) / float(power[number] @ directions)
+    beside, own = (float((plane[number] * directions).sum()) for plane in (halves, power))
+    ratio = CHARACTER_RATIO / _EVERYWHERE * beside / own
     return Turned((period, count, -generator % count if mirror else generator), ratio)
 
 
