@@ -389,6 +389,20 @@ class TestPyTorch:
         with pytest.raises(McaaError, match=r"uses torch.utils.checkpoint inside.*leave it out"):
             picture.sum().backward()
 
+    def test_warnings_are_at_the_line_that_called(self) -> None:
+        """Forward and backward, and as a module's call, whose frames are PyTorch's."""
+        radius = torch.tensor(3.0, requires_grad=True)
+        with pytest.warns(McaaWarning, match="numpy") as said:
+            picture = mcaa.Supersampler((8, 8))(lambda x, y: radius * torch.from_numpy((x.detach().numpy() > 3).astype("float32")))
+        with pytest.warns(McaaWarning, match="f is random") as random:
+            mcaa.render(lambda x, y: torch.rand_like(x), (16, 16))
+        late = mcaa.Supersampler((8, 8), estimator=mcaa.Shared())(lambda x, y: (torch.hypot(x - 99, y) < radius).float())
+        with pytest.warns(McaaWarning, match="no gradient reaches") as behind:
+            late.sum().backward()
+        for warning in (*said, *random, *behind):
+            assert warning.filename == __file__
+        assert picture.shape == (1, 8, 8)
+
     def test_made_inside_a_transform(self) -> None:
         with pytest.raises(McaaError, match="make it outside"):
             torch.func.grad(lambda p: mcaa.Supersampler((8, 8))(lambda x, y: x * p).sum())(torch.tensor(4.0))

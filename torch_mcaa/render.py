@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import time
-import warnings
 from numbers import Integral, Real
 from typing import Literal
 
 import torch
 
 from torch_mcaa.arguments import task_of
-from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimate, Estimator
 from torch_mcaa.filters import Filter, Gaussian
 from torch_mcaa.grid import Screen
@@ -119,7 +118,7 @@ def render(
             stopped = work.run()
             bar.update(1.0)
         except KeyboardInterrupt:
-            warnings.warn("interrupted: pixels without a value are NaN, with a standard error of +inf", McaaWarning, stacklevel=2)
+            warn("interrupted: pixels without a value are NaN, with a standard error of +inf")
             stopped = "interrupted"
         finally:
             bar.close()
@@ -130,11 +129,9 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
     picture, task = work.picture(), work.task
     empty = int(((picture.points == 0) & picture.value.isnan().all(0)).sum()) if stopped == "seconds" else 0
     if empty:
-        warnings.warn(
+        warn(
             f"the time was up before {empty} of {picture.points.numel()} pixels had a sample: they are NaN, with a standard error of +inf; "
-            "give more seconds, or ask for fewer pixels",
-            McaaWarning,
-            stacklevel=3,
+            "give more seconds, or ask for fewer pixels"
         )
     bias = list(work.bias)
     if work.number > 1 and (work.tolerance is not None or task.deadline is not None):
@@ -142,33 +139,25 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
     if task.integrand.nonfinite == "ignore" and bool(picture.invalid.any()):
         bias.append("samples that were not finite were left out")
     if task.integrand.random:
-        warnings.warn(
-            "f is random: it returned two values for one point; its jumps were not looked for, and its noise is part of the standard error",
-            McaaWarning,
-            stacklevel=3,
+        warn(
+            "f is random: it returned two values for one point; its jumps were not looked for, and its noise is part of the standard error"
         )
     if task.integrand.refused:
-        warnings.warn(
-            f"f was not compiled and ran eagerly: {task.integrand.refused}; compile=False says nothing", McaaWarning, stacklevel=3
-        )
+        warn(f"f was not compiled and ran eagerly: {task.integrand.refused}; compile=False says nothing")
     diagnostics = picture.diagnostics
     heavy = _without_moment(work, picture)
     if heavy:
-        warnings.warn(
+        warn(
             f"in {heavy} pixels the samples look as if f had no second moment: their standard error is +inf; "
-            "clamp f, take more samples, or another density",
-            McaaWarning,
-            stacklevel=3,
+            "clamp f, take more samples, or another density"
         )
     # differences of infinite variances say nothing
     stderr = picture.variance.nan_to_num_(nan=torch.inf, posinf=torch.inf).sqrt_()
     largest = picture.value.nan_to_num(0.0).abs().amax()
     if bool(largest.square().isinf()) and bool(stderr.isinf().any()):
-        warnings.warn(
+        warn(
             f"f has values of {float(largest):.3g}, whose squares are beyond {picture.value.dtype}: standard errors of +inf; scale f, or take "
-            "float64",
-            McaaWarning,
-            stacklevel=3,
+            "float64"
         )
     return Rendering(
         image=picture.value,

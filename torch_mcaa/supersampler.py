@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from typing import Any, Literal
 
@@ -10,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.arguments import task_of
-from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, JumpCorrected
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.filters import Filter, Gaussian
@@ -220,11 +219,9 @@ class Supersampler(torch.nn.Module):
         # the identity of the backward pass that this thread is in; only what is run again is called there
         if torch._C._current_graph_task_id() != -1 and self.calls:
             if self._since_recomputed > 1:
-                warnings.warn(
+                warn(
                     f"a checkpoint calls the layer again, which was called {self._since_recomputed} times since: the points of the last "
-                    "call are taken; say which call is meant by layer(f, call=...)",
-                    McaaWarning,
-                    stacklevel=5,
+                    "call are taken; say which call is meant by layer(f, call=...)"
                 )
             self._since_recomputed = 0
             return self.calls - 1

@@ -6,13 +6,12 @@ output's pixels, so that what is smaller than a pixel is averaged, not missed. P
 
 from __future__ import annotations
 
-import warnings
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, Shared
 from torch_mcaa.filters import Box, Filter, Gaussian
 from torch_mcaa.grid import Screen
@@ -75,11 +74,7 @@ def warp_perspective(
         texture = _texture(pictures.flatten(0, 1), _to_source(M[number], layer.size), interpolation, padding_mode, align_corners)
         assert texture.transform is not None
         if hides(texture.transform, Screen.of(dsize), reach_of(layer.filter)):
-            warnings.warn(
-                f"the horizon of M[{number}] lies on the result or within the filter's reach of it; what lies beyond it is 0",
-                McaaWarning,
-                stacklevel=2,
-            )
+            warn(f"the horizon of M[{number}] lies on the result or within the filter's reach of it; what lies beyond it is 0")
         parts.append(_of(layer, texture, estimator, src).unflatten(0, pictures.shape[:2]))
     found = torch.cat(parts)
     if padding_mode == "fill":

@@ -5,7 +5,6 @@ The samples are evaluated again, block by block, so that memory does not grow wi
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torch_mcaa.errors import McaaWarning
+from torch_mcaa.errors import warn
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import Function
@@ -98,11 +97,9 @@ class Replay:
             add([part for term in terms for part in term(block)])
         count = len(self.inputs.tensors)
         if count and all(total is None for total in totals[:count]):
-            warnings.warn(
+            warn(
                 "no gradient reaches what f uses: its values have no slope, and no jump that moves was met where f was seen to decide; "
-                "check_discontinuities(f, size) finds jumps that no decision explains",
-                McaaWarning,
-                stacklevel=2,
+                "check_discontinuities(f, size) finds jumps that no decision explains"
             )
         return totals
 

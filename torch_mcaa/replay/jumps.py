@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 
 from torch import Tensor
 
-from torch_mcaa.errors import McaaWarning
+from torch_mcaa.errors import warn
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.integrand import Function
 from torch_mcaa.replay.adjoint import at_places
@@ -66,7 +65,7 @@ class OfJumps:
                 check_reached([term], self.inputs)
                 yield derivatives((term,), self.inputs.stand_ins)
         for problem in problems:
-            warnings.warn(f"{problem}; its part of the gradient is left out", McaaWarning, stacklevel=2)
+            warn(f"{problem}; its part of the gradient is left out")
 
     def _counted(self, col: Tensor, row: Tensor) -> None:
         self.evaluations += len(col)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.integrand import Function
 from torch_mcaa.replay.adjoint import reach_of
@@ -53,47 +52,37 @@ def plan(
     if isinstance(f, torch.nn.Module):
         learned = {id(parameter) for parameter in f.parameters() if parameter.requires_grad}
         if learned and not learned & {id(tensor) for tensor in found.tensors}:
-            warnings.warn(
-                f"f uses none of its {len(learned)} parameters that require a gradient: they get none", McaaWarning, stacklevel=5
-            )
+            warn(f"f uses none of its {len(learned)} parameters that require a gradient: they get none")
     program, deciding = None, task
     # a texture's values do not jump as its texels change, and its transform, if it is not one of its tensors here, is in `moved`
     if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
         deciding = _deciding(task, exact)
         program = _program(deciding)
         if look and not program.problems and (place := _steep(deciding, program, found.tensors)):
-            warnings.warn(place, McaaWarning, stacklevel=5)
+            warn(place)
     elif not found.tensors and discontinuities and not isinstance(f, Texture) and (hidden := _hidden(task)):
-        warnings.warn(
+        warn(
             f"{hidden}; f uses no tensor that requires a gradient where that can be seen, and the picture gets no gradient from what it "
-            "uses there: write it in PyTorch, or say by torch.no_grad() that none is wanted",
-            McaaWarning,
-            stacklevel=5,
+            "uses there: write it in PyTorch, or say by torch.no_grad() that none is wanted"
         )
     elif found.severed:
-        warnings.warn(
+        warn(
             f"f turns a tensor that requires a gradient into a number by {', '.join(sorted(found.severed))}, and no gradient passes there; "
-            "let f use the tensor itself",
-            McaaWarning,
-            stacklevel=5,
+            "let f use the tensor itself"
         )
     elif found.tensors and not found.smooth:
-        warnings.warn(
+        warn(
             "f's values have no gradient to the tensors that f uses, which decide between values at most: they get none; "
-            "use discontinuities='auto'",
-            McaaWarning,
-            stacklevel=5,
+            "use discontinuities='auto'"
         )
     if decorrelate:
         high, low = (int(rng.bits(task.seed, _BACKWARD, half)) for half in (0, 1))
         task = replace(task, seed=high << 32 | low)
     noted = Noted.now(task.integrand.function, x, y, (*task.filter.learned, *moved.parameters))
     if noted.found is None:
-        warnings.warn(
+        warn(
             "f is random, or changes something that it reads: asked twice for the same points it did not do the same, and the backward pass, "
-            "which asks it again, differentiates something else than the picture",
-            McaaWarning,
-            stacklevel=5,
+            "which asks it again, differentiates something else than the picture"
         )
     function, decides = (found.apart(each.integrand.function) for each in (task, deciding))
     task = replace(task, integrand=replace(task.integrand, function=function))
@@ -108,11 +97,7 @@ def _deciding(task: Task, exact: Function) -> Task:
     try:
         _probed(other, exact)
     except McaaError as error:
-        warnings.warn(
-            f"f runs under autocast alone, so that its decisions, and where it jumps, are as coarse as that: {error}",
-            McaaWarning,
-            stacklevel=5,
-        )
+        warn(f"f runs under autocast alone, so that its decisions, and where it jumps, are as coarse as that: {error}")
         return task
     return other
 
@@ -144,10 +129,8 @@ def _program(task: Task) -> Program:
     """f's decisions; of what the trace cannot follow there is a warning."""
     program = _probed(task, task.integrand.function)
     for problem in program.problems:
-        warnings.warn(
-            f"{problem}; jumps there count nothing towards the gradient: say where they are by level_set(g), or use discontinuities=False",
-            McaaWarning,
-            stacklevel=6,
+        warn(
+            f"{problem}; jumps there count nothing towards the gradient: say where they are by level_set(g), or use discontinuities=False"
         )
     return program
 

@@ -174,7 +174,9 @@ class _Probe(Watch):
 
     def _escaped(self, name: str, depends: int) -> None:
         if depends & _POINT and name == "__bool__":
-            self.problems.append(f"{where()}: {name} lets Python's control flow depend on the points")
+            self.problems.append(
+                f"{where()}: {name} lets Python's control flow depend on the points, which torch.where does in PyTorch"
+            )
         elif depends & _POINT:
             self.hidden.append(f"{where()}: {name} takes values of the points out of PyTorch")
         elif depends & _PARAMETER:

@@ -7,7 +7,6 @@ continuous there, so that its margin is, and crosses zero.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -18,12 +17,9 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-from torch_mcaa.errors import McaaError
+from torch_mcaa.errors import HOMES, McaaError
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, called, in_place, rule_of
 from torch_mcaa.traced.transforms import beyond, outside, transformed
-
-_HOMES = tuple(os.path.dirname(os.path.abspath(file)) + os.sep for file in (os.path.dirname(__file__), str(torch.__file__)))
-"""Our code, and PyTorch's."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,7 @@ def where() -> str:
     frame = sys._getframe(1)
     while frame is not None:
         name = frame.f_code.co_filename
-        if not name.startswith(_HOMES) and not name.startswith("<"):
+        if not name.startswith(HOMES) and not name.startswith("<"):
             return f"{name}:{frame.f_lineno}"
         frame = frame.f_back
     return "(no line of Python)"

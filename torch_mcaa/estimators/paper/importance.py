@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from torch_mcaa.densities import Density, FilterDensity
-from torch_mcaa.errors import McaaError, McaaWarning
+from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.paper.pixelwise import Drawn, Pixels, Pixelwise
 from torch_mcaa.estimators.paper.tail import pareto_k
@@ -45,11 +44,9 @@ class Importance(Pixelwise):
     def check(self, task: Task) -> None:
         super().check(task)
         if isinstance(self.pattern, Lattice):
-            warnings.warn(
+            warn(
                 "Importance(Lattice()) has no point off its lattices, so its standard error is blind to tones on their dual vectors; "
-                "Shared(Lattice()) has, and Importance(Sobol()) needs none",
-                McaaWarning,
-                stacklevel=4,
+                "Shared(Lattice()) has, and Importance(Sobol()) needs none"
             )
         density = self._density(task)
         check_weights(task, density, repr(density), "use a density at least as wide as the filter, or a Mixture with FilterDensity")
