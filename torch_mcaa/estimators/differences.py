@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
@@ -25,43 +23,47 @@ _SMOOTH, _RESOLVED = 0.3, 0.25
 """From this correlation on f is smooth, if it has detail everywhere: what differences count for where it does not jump, too."""
 
 
-class Differences(NamedTuple):
-    """What is known of the blocks (blocks,), on the CPU.
+class Differences:
+    """Of samples (C, h, w), one in each pixel of a cell: numbers for each of its blocks, on the CPU."""
 
-    Attributes:
-        texture: bool, whether f has detail everywhere. spread: float64, the root of the mean square difference, in ranges of the cell.
-        correlation, together: float64, the mean product of a difference and the next, and that of their sizes, in mean squares.
-    """
-
-    texture: Tensor
-    spread: Tensor
-    correlation: Tensor
-    together: Tensor
-
-    @staticmethod
-    def of(values: Tensor) -> Differences:
-        """Of samples (C, h, w), one in each pixel of a cell."""
+    def __init__(self, values: Tensor) -> None:
+        self._values = values
         span = (values.amax((1, 2)) - values.amin((1, 2)))[:, None, None]
         # a constant has no range to be measured in, and no differences
-        span = torch.where(span > 0, span, 1)
-        steps = [torch.nn.functional.pad(torch.diff(values / span, dim=d), pad) for d, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))]
-        largest = [step.abs().amax(0) for step in steps]
+        self._span = torch.where(span > 0, span, 1)
         # a median above a number: more than half are
-        texture = torch.maximum(*(tile_means((size > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for size in largest)) > 0.5
-        spread = (_LEAST + torch.maximum(*(tile_means(size.square(), BLOCK, BLOCK) for size in largest))).sqrt()
+        several = (tile_means((size > _TEXTURE).to(torch.float32), BLOCK, BLOCK) for size in _largest(self._steps()))
+        self.texture = (torch.maximum(*several) > 0.5).flatten().cpu()
+        """bool (blocks,), whether f has detail everywhere."""
+
+    def _steps(self) -> list[Tensor]:
+        """The differences to the next sample down and across, in ranges of the cell, as many as samples."""
+        values = self._values / self._span
+        return [torch.nn.functional.pad(torch.diff(values, dim=d), pad) for d, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))]
+
+    def doubt(self, verdict: Tensor) -> Tensor:
+        """(blocks,) float64: how far off lattices of as many points are expected to be, in any unit, in blocks of these verdicts.
+
+        By the root of the mean square difference, and the mean product of a difference and the next, and that of their sizes, in mean squares.
+        """
+        steps = self._steps()
+        spread = (_LEAST + torch.maximum(*(tile_means(size.square(), BLOCK, BLOCK) for size in _largest(steps)))).sqrt()
         nexts = [step * step.roll(1, d) for d, step in enumerate(steps, 1)]
         signed, unsigned, square = (
             tile_means(torch.cat(parts).sum(0), BLOCK, BLOCK)
             for parts in (nexts, [part.abs() for part in nexts], [step.square() for step in steps])
         )
-        square.clamp_min_(torch.finfo(values.dtype).tiny)
-        numbers = (spread, signed / square, unsigned / square)
-        return Differences(texture.flatten().cpu(), *(t.flatten().to("cpu", torch.float64) for t in numbers))
-
-    def doubt(self, verdict: Tensor) -> Tensor:
-        """(blocks,) float64: how far off lattices of as many points are expected to be, in any unit, in blocks of these verdicts."""
+        square.clamp_min_(torch.finfo(square.dtype).tiny)
+        spread, correlation, together = (
+            plane.flatten().to("cpu", torch.float64) for plane in (spread, signed / square, unsigned / square)
+        )
         changes = verdict >= Verdict.NOISE
-        noise = (_ALONE - self.correlation).clamp_min(0) * ((_WAVES - self.together) / _BETWEEN).clamp(0, 1)
+        noise = (_ALONE - correlation).clamp_min(0) * ((_WAVES - together) / _BETWEEN).clamp(0, 1)
         factor = torch.where(changes, 1 + _NOISY * noise, 1)
-        smooth = ~changes & self.texture & (self.correlation > _SMOOTH)
-        return self.spread * torch.where(smooth, _RESOLVED, factor)
+        smooth = ~changes & self.texture & (correlation > _SMOOTH)
+        return spread * torch.where(smooth, _RESOLVED, factor)
+
+
+def _largest(steps: list[Tensor]) -> list[Tensor]:
+    """(h, w) each: over the channels."""
+    return [step.abs().amax(0) for step in steps]

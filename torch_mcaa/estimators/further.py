@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.base import MANY, dilated
+from torch_mcaa.estimators.differences import Differences
 from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in
 from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
@@ -43,10 +44,10 @@ def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: in
         _add(part.cut(where.within(cell)), more, 0, count, SAMPLED if count > FEWEST_LINES else PLAIN)
 
 
-def poorest_of(part: Part, cell: Cell, spread: Tensor) -> list[Poor]:
+def poorest_of(part: Part, cell: Cell, differences: Differences, verdict: Tensor) -> list[Poor]:
     """The rectangles of a cell's `part`, from `Parts.joined`, with pixels whose jumps were not located and that are not known well enough.
 
-    spread: (blocks,), in the place of the standard deviation.
+    By what its blocks' `differences` under their verdicts (blocks,) say in the place of the standard deviation.
     """
     value, variance, density = part.value, part.variance, torch.as_tensor(part.density)
     finite = value.nan_to_num(0.0, 0.0, 0.0)
@@ -56,6 +57,9 @@ def poorest_of(part: Part, cell: Cell, spread: Tensor) -> list[Poor]:
     plain = (part.model == PLAIN) & ~dilated(located(part.model), 1)
     poor = (variance.sqrt() > known).any(0) & plain
     some = tile_means(poor.to(torch.float32), BLOCK, BLOCK).flatten().cpu() > 0
+    if not bool(some.any()):
+        return []
+    spread = differences.doubt(verdict)
     # what a block has had, and, in steps of a factor of 4, how much f changes in it
     steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
     labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten().cpu()) * some).long().tolist()

@@ -104,7 +104,8 @@ class Part:
 
     def estimate(self) -> Estimate:
         """With the floor for what its lattice did not meet."""
-        floor = unseen(self.value, self.density)
+        density = self.density
+        floor = unseen(self.value, density.to(self.value.dtype) if isinstance(density, Tensor) else density)
         variance = settled(self.variance, self.value, floor)
         heavy = None
         if self.heavy is not None and bool(self.heavy.any()):

@@ -136,7 +136,7 @@ class PilotedRound(Round):
             left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
         part = self.parts.joined(cell, done, ask)
         if seen.counts is None or self.most is None:
-            poorest = poorest_of(part, cell, seen.differences.doubt(judged.verdict))
+            poorest = poorest_of(part, cell, seen.differences, judged.verdict)
             if poorest:
                 edges, left = self._edges(seen, part, cell, left)
                 sampled_further(self.parts, part, cell, poorest, edges, left, None if most is None else self.spp)
@@ -206,7 +206,7 @@ class PilotedRound(Round):
         return _Seen(
             judged.cpu(),
             jumping.cpu(),
-            Differences.of(values),
+            Differences(values),
             samples,
             counts,
             done,
