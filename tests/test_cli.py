@@ -16,9 +16,10 @@ import torch
 from PIL import Image
 
 import torch_mcaa as mcaa
-from torch_mcaa.cli import load_function, main
+from torch_mcaa.cli import main
 from torch_mcaa.errors import McaaError
 from torch_mcaa.image_io import read_image, write_picture
+from torch_mcaa.scene_file import load_function
 from torch_mcaa.scenes import gallery
 
 Run = Callable[..., tuple[int, str, str]]
