@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torch_mcaa.edges.pilot import Verdict
 from torch_mcaa.estimators.base import MANY, dilated
 from torch_mcaa.estimators.differences import Differences
 from torch_mcaa.estimators.lattice.audit import tile_means
@@ -23,11 +24,12 @@ _SMALL = 1e-4
 
 
 class Poor(NamedTuple):
-    """A rectangle that is not known well enough, how many evaluations a pixel it has had, and the spread of f in it."""
+    """A rectangle that is not known well enough, how many evaluations a pixel it has had, the spread of f in it, and whether f is continuous."""
 
     where: Cell
     had: int
     spread: float
+    continuous: bool
 
 
 def sampled_first(parts: Parts, part: Part, cell: Cell, counts: Tensor, left: int) -> None:
@@ -64,7 +66,12 @@ def poorest_of(part: Part, cell: Cell, differences: Differences, verdict: Tensor
     steps = (spread / spread.max()).log2().div(2).ceil().clamp_min(-_CLASSES).neg()
     labels = ((1 + steps + (1 + _CLASSES) * density[::BLOCK, ::BLOCK].flatten().cpu()) * some).long().tolist()
     return [
-        Poor(where, (labels[inside[0]] - 1) // (1 + _CLASSES), float(spread[inside].mean()))
+        Poor(
+            where,
+            (labels[inside[0]] - 1) // (1 + _CLASSES),
+            float(spread[inside].mean()),
+            not bool((verdict[inside] >= Verdict.NOISE).any()),
+        )
         for where, inside in cell.rectangles(BLOCK, labels)
         if labels[inside[0]]
     ]
@@ -78,9 +85,11 @@ def sampled_further(
     With what they have had, a third in equal shares and the rest by Neyman's allocation, the spread of neighbouring samples in the
     place of the standard deviation; at most `most` a pixel on average. With lattices that suit the directions of the `edges` (blocks, DIRECTIONS).
     """
-    for where, had, count in _counts(poorest, left, most, parts.fewest):
+    for (where, had, _, continuous), count in _counts(poorest, left, most, parts.fewest):
         suited = None if edges is None else edges[blocks_in(cell, where)].sum(0).numpy()
-        more = parts.sampled(where, count, left, suited if suited is not None and 0 < suited.sum() < math.inf else None)
+        if suited is not None and not 0 < suited.sum() < math.inf:
+            suited = None
+        more = parts.sampled(where, count, left, suited, continuous)
         left -= more.spent
         _add(part.cut(where.within(cell)), more, had, count, SAMPLED)
 
@@ -104,17 +113,17 @@ def _add(here: Part, more: Part, had: int, count: float, model: int) -> None:
         here.heavy.logical_or_(more.heavy & free)
 
 
-def _counts(parts: list[Poor], left: int, most: int | None, fewest: int) -> list[tuple[Cell, int, float]]:
-    """Of parts those that are given more, what they have had, and how many more evaluations a pixel: `fewest` or more."""
+def _counts(parts: list[Poor], left: int, most: int | None, fewest: int) -> list[tuple[Poor, float]]:
+    """Of parts those that are given more, and how many more evaluations a pixel: `fewest` or more."""
     while parts:
-        pixels = [where.height * where.width for where, _, _ in parts]
-        total, had = sum(pixels), sum(n * had for n, (_, had, _) in zip(pixels, parts, strict=True))
+        pixels = [part.where.height * part.where.width for part in parts]
+        total, had = sum(pixels), sum(n * part.had for n, part in zip(pixels, parts, strict=True))
         each = (left + had) / total if most is None else min(most, (left + had) / total)
-        mean = sum(n * spread for n, (_, _, spread) in zip(pixels, parts, strict=True)) / total
-        counts = [each * (1 + 2 * spread / mean) / 3 - had for _, had, spread in parts]
-        enough = [had > 0 and count < fewest for (_, had, _), count in zip(parts, counts, strict=True)]
+        mean = sum(n * part.spread for n, part in zip(pixels, parts, strict=True)) / total
+        counts = [each * (1 + 2 * part.spread / mean) / 3 - part.had for part in parts]
+        enough = [part.had > 0 and count < fewest for part, count in zip(parts, counts, strict=True)]
         if not any(enough):
-            return [(where, had, max(float(fewest), count)) for (where, had, _), count in zip(parts, counts, strict=True)]
+            return [(part, max(float(fewest), count)) for part, count in zip(parts, counts, strict=True)]
         parts = [part for part, done in zip(parts, enough, strict=True) if not done]
     return []
 

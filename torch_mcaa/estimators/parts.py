@@ -141,8 +141,11 @@ class Parts:
         """f at places of a part of the screen."""
         return Counted(self.task, cell, budget, self._precision)
 
-    def sampled(self, cell: Cell, spp: float, budget: int, edges: np.ndarray | None = None) -> Part:
-        """A plain lattice of at most `spp` evaluations a pixel and `budget` in all; the one that suits the `edges`, as in `turned`, if given."""
+    def sampled(self, cell: Cell, spp: float, budget: int, edges: np.ndarray | None = None, continuous: bool = False) -> Part:
+        """A plain lattice of at most `spp` evaluations a pixel and `budget` in all; the one that suits the `edges`, as in `turned`, if given.
+
+        Whose standard error knows that, if f is `continuous`: where it has detail on every scale, this has no directions.
+        """
         step = 1 if edges is None or spp < SUITED else _STEP
         spp = math.floor(spp / step) * step
         lattice, ratio = self._suited(spp, edges)
@@ -153,7 +156,7 @@ class Parts:
         whole = cell
         if self.task.boundary == "extend":
             whole = Cell(cell.row, cell.col, cell.height, -(-cell.width // _COLUMNS) * _COLUMNS)
-        found = lattice.measured(whole, ratio=ratio)
+        found = lattice.measured(whole, ratio=ratio if continuous else CHARACTER_RATIO)
         inner = (..., slice(0, cell.height), slice(0, cell.width))
         points = lattice.row_points(cell).to(found.value.device, torch.int64)[:, None].expand(cell.height, cell.width)
         model = torch.full((cell.height, cell.width), SAMPLED, dtype=torch.uint8, device=found.value.device)

@@ -21,7 +21,7 @@ _SPARED = 0.1
 """How many evaluations a pixel fewer than another a strip may have: its count is odd, and one point is the audit's."""
 _SHORTEST, _MANY = 0.93, 48
 """How short a shortest dual vector may be, in parts of the longest, which smooth f need; and how many lattices are kept."""
-_GAIN = 3.0
+_GAIN = 1.5
 """How much less power edges must have on a lattice for it to be taken and not that of the longest shortest dual vector."""
 _ELSEWHERE, _EVERYWHERE = 0.1, 7.0
 """The part of the edges that may have any direction, and `CHARACTER_RATIO` as foretold where all of them do, the same for all lattices."""
