@@ -13,4 +13,5 @@ def numbers(index: Tensor) -> Tensor:
 
 def pick(values: Tensor, index: Tensor) -> Tensor:
     """values[..., index] for integers (N,)."""
-    return values.index_select(-1, index)
+    # index_select goes through more than one row number by number
+    return values.index_select(0, index) if values.dim() == 1 else values.gather(-1, index.expand(*values.shape[:-1], -1))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torch_mcaa.edges.lines import Differences, Samples
 from torch_mcaa.integrand import width_of
-from torch_mcaa.picking import numbers
+from torch_mcaa.picking import numbers, pick
 
 _TIMES = 3.0
 _AROUND = 4
@@ -76,7 +76,10 @@ class Segments:
         index = numbers(index)
         return Segments(
             self.axis,
-            *(getattr(self, field.name).index_select(0 if field.name == "key" else -1, index) for field in fields(self)[1:]),
+            *(
+                self.key.index_select(0, index) if field.name == "key" else pick(getattr(self, field.name), index)
+                for field in fields(self)[1:]
+            ),
         )
 
 

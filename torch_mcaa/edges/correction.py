@@ -32,7 +32,8 @@ class Window:
         self.filter, self.device = filter, device
         self.reach, self.halo = math.ceil(max(filter.radius) + 0.5), self.halo_of(filter)
         self.margin = 2 * self.reach + 3
-        self.offsets = torch.arange(-self.reach, self.reach + 1, device=device)
+        # of the pixels whose filters cover a place from its own; of the samples that one covers from its centre's
+        self._pixels, self._samples = (torch.arange(1 - n, n, device=device)[:, None] for n in (self.halo, self.halo + 1))
 
     @staticmethod
     def halo_of(filter: Filter) -> int:
@@ -52,19 +53,17 @@ class Window:
         crossings = crossings.take(self.reaching(pixels, crossings.axis, crossings.place, crossings.across))
         for at in slices(crossings.place):
             part = crossings.take(at)
-            along, across = part.place, part.across
-            near, beside = along.floor().long()[:, None] + self.offsets, across.floor().long()[:, None] + self.offsets
-            index = pair(pixels, beside, near) if part.axis == 0 else pair(pixels, near, beside)
-            weight, doubt = self._weights(part, along[:, None] - near - 0.5, across[:, None] - beside - 0.5)
+            along, across, index = self.around(pixels, part.axis, part.place, part.across)
+            weight, doubt = self._weights(part, along, across)
             weight /= norm
             size = part.jump.abs().amax(0).to(torch.float64)
-            add_at(seen[0], index, (size[:, None, None] * doubt).abs_().view(-1))
+            add_at(seen[0], index, (size * doubt).abs_().view(-1))
             # a part of a continuous step changes all over, and has its middle near its own
             width = torch.where(part.width > BRACKET, part.width / 3, part.width)
-            doubt *= (width / (math.sqrt(12) * norm))[:, None, None]
+            doubt *= width / (math.sqrt(12) * norm)
             for channel, jump in enumerate(part.jump.to(torch.float64)):
-                add_at(total[channel], index, (jump[:, None, None] * weight).view(-1))
-                add_at(spread[channel], index, (jump[:, None, None] * doubt).square_().view(-1))
+                add_at(total[channel], index, (jump * weight).view(-1))
+                add_at(spread[channel], index, (jump * doubt).square_().view(-1))
         return total[:, :-1], spread[:, :-1], seen[0, :-1]
 
     def density(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor, size: Tensor) -> Tensor:
@@ -72,16 +71,13 @@ class Window:
         total = self.zeros(pixels, 1)[0]
         some = self.reaching(pixels, axis, along, across)
         along, across, size = (pick(each, some) for each in (along, across, size))
-        places = placed(axis, along, across)
         for at in slices(size):
-            x, y = (place[at] for place in places)
-            cols, rows = x.floor().long()[:, None] + self.offsets, y.floor().long()[:, None] + self.offsets
-            dx, dy = x[:, None] - cols - 0.5, y[:, None] - rows - 0.5
+            dx, dy, index = self.around(pixels, 0, *placed(axis, along[at], across[at]))
             if isinstance(self.filter, SeparableFilter):
-                weight = outer(self.filter.profile(dy).abs() * size[at, None], self.filter.profile(dx).abs())
+                weight = outer(self.filter.profile(dy).abs() * size[at], self.filter.profile(dx).abs())
             else:
-                weight = self.filter(dx[:, None], dy[:, :, None]).abs() * size[at, None, None]
-            add_at(total, pair(pixels, rows, cols), weight.view(-1))
+                weight = self.filter(dx[None], dy[:, None]).abs() * size[at]
+            add_at(total, index, weight.view(-1))
         return total[:-1]
 
     def reaching(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> Tensor:
@@ -95,17 +91,28 @@ class Window:
         """(channels, P + 1), the last for what lies in none of the pixels."""
         return torch.zeros(channels, len(pixels) + 1, dtype=torch.float64, device=self.device)
 
+    def around(self, pixels: Pixels, axis: int, along: Tensor, across: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """How far places (N,) on lines along `axis` are from the centres of the pixels around, along and across, (K, N) both.
+
+        And where in the list these are: int64 (K K N,), rows, columns, places.
+        """
+        near, beside = (place.floor().long() + self._pixels for place in (along, across))
+        cols, rows = placed(axis, near, beside)
+        return along - near - 0.5, across - beside - 0.5, pixels.index(rows[:, None], cols[None]).view(-1)
+
     def _weights(self, crossings: Crossings, along: Tensor, across: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, K, K), rows and columns: (D - D_inf W) w and |w|, up to the sign of w across, at crossings so far from the pixels' centres (N, K)."""
+        """(K, K, N), rows and columns: (D - D_inf W) w and |w|, up to the sign of w across, so far from the pixels' centres (K, N)."""
         # the samples that reach a pixel lie at the same distances from every one
-        points = crossings.phase[:, None] - 0.5 + torch.arange(-self.reach - 1, self.reach + 2, device=self.device)
+        points = crossings.phase - 0.5 + self._samples
         axis, filter = crossings.axis, self.filter
         if not isinstance(filter, SeparableFilter):
-            dx, dy = (along[:, None], across[:, :, None]) if axis == 0 else (across[:, None], along[:, :, None])
-            return missed(filter, axis, along, across, points, 1.0), filter(dx, dy)
+            dx, dy = placed(axis, along, across)
+            return missed(filter, axis, along, across, points, 1.0), filter(dx[None], dy[:, None])
         weight = filter.profile(points)
-        past = (weight[:, None] * (points[:, None] > along[..., None])).sum(-1)
-        beyond = (1 - filter.profile_cdf(along)) * weight.sum(-1, keepdim=True) - past
+        past = torch.zeros_like(along)
+        for point, its in zip(points, weight, strict=True):
+            past += its * (point > along)
+        beyond = (1 - filter.profile_cdf(along)) * weight.sum(0) - past
         side, density = filter.profile(across), filter.profile(along).abs()
         return (outer(side, beyond), outer(side, density)) if axis == 0 else (outer(beyond, side), outer(density, side))
 
@@ -116,10 +123,6 @@ def slices(places: Tensor) -> Iterator[slice]:
     return (slice(start, start + step) for start in range(0, len(places), step))
 
 
-def pair(pixels: Pixels, rows: Tensor, cols: Tensor) -> Tensor:
-    """(N K K,) int64 where in the list the pixels (N, K) x (N, K) of the screen are."""
-    return pixels.index(rows[:, :, None], cols[:, None, :]).view(-1)
-
-
-def outer(a: Tensor, b: Tensor) -> Tensor:
-    return a[:, :, None] * b[:, None, :]
+def outer(rows: Tensor, cols: Tensor) -> Tensor:
+    """(K, K, N): the products of (K, N) and (K, N). Places come last, for sums over few numbers in the last axis are not vectorised."""
+    return rows[:, None] * cols[None]

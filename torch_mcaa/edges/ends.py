@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
-from torch_mcaa.edges.correction import Window, outer, pair, slices
+from torch_mcaa.edges.correction import Window, outer, slices
 from torch_mcaa.edges.lines import Lines, norm
 from torch_mcaa.edges.missed import missed
 from torch_mcaa.edges.pieces import SAME, Numbered, place_of
@@ -39,20 +39,18 @@ def ends(window: Window, pixels: Pixels, crossings: Crossings, lines: Lines) -> 
     scale = norm(lines, filter, window.halo)
     for at in slices(part.place):
         some = part.take(at)
-        near, beside = some.place.floor().long()[:, None] + window.offsets, some.across.floor().long()[:, None] + window.offsets
-        offset, side = some.place[:, None] - near - 0.5, some.across[:, None] - beside - 0.5
-        index = pair(pixels, near, beside) if crossings.axis == 1 else pair(pixels, beside, near)
+        offset, side, index = window.around(pixels, some.axis, some.place, some.across)
         if isinstance(filter, SeparableFilter):
             weight = filter.profile(line) / lines.count
             beyond = torch.cat([weight.flip(0).cumsum(0).flip(0), weight.new_zeros(1)])
             lacking = (1 - filter.profile_cdf(offset)) * beyond[0] - beyond[torch.searchsorted(line, offset, right=True)]
             profile = filter.profile(side)
-            weights = outer(lacking, profile) if crossings.axis == 1 else outer(profile, lacking)
+            weights = outer(lacking, profile) if some.axis == 1 else outer(profile, lacking)
         else:
-            weights = missed(filter, crossings.axis, offset, side, line[None], 1 / lines.count)
+            weights = missed(filter, some.axis, offset, side, line[:, None], 1 / lines.count)
         weights /= scale
         for channel, jump in enumerate(some.jump.to(torch.float64)):
-            add_at(total[channel], index, (jump[:, None, None] * weights).view(-1))
+            add_at(total[channel], index, (jump * weights).view(-1))
     return total[:, :-1]
 
 

@@ -20,6 +20,8 @@ from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import Strip
 
 _BAND = 128
+_PLACES = 1 << 11
+"""Places about which the pixels are taken together."""
 
 
 def reach_of(filter: Filter) -> int:
@@ -93,19 +95,20 @@ def at_places(filter: Filter, grad: Tensor, col: Tensor, row: Tensor) -> Tensor:
 
     grad: (C, H, W); col, row: float64 (N,) in screen pixels; pixels beyond the screen have a gradient of 0.
     """
-    reach = reach_of(filter)
-    padded = torch.nn.functional.pad(grad.to(torch.float64), (2 * reach + 1,) * 4)
-    offsets = torch.arange(-reach, reach + 1, device=col.device)
-    i, j = row.floor().to(torch.int64), col.floor().to(torch.int64)
-    total = torch.zeros(len(grad), len(col), dtype=torch.float64, device=col.device)
-    for down in offsets.tolist():
-        for across in offsets.tolist():
-            weight = filter(col - j - across - 0.5, row - i - down - 0.5)
-            at = (
-                (i + down + 2 * reach + 1).clamp(0, padded.shape[1] - 1),
-                (j + across + 2 * reach + 1).clamp(0, padded.shape[2] - 1),
-            )
-            total += weight * padded[:, at[0], at[1]]
+    reach, beyond = reach_of(filter), 2 * reach_of(filter) + 1
+    padded = torch.nn.functional.pad(grad.to(torch.float64), (beyond,) * 4)
+    height, width = padded.shape[1:]
+    offsets = torch.arange(-reach, reach + 1, device=col.device)[:, None]
+    total = padded.new_empty(len(grad), len(col))
+    for first in range(0, len(col), _PLACES):
+        part = slice(first, first + _PLACES)
+        x, y = col[part], row[part]
+        near, beside = x.floor().long() + offsets, y.floor().long() + offsets
+        weight = filter((x - near - 0.5)[None], (y - beside - 0.5)[:, None]).flatten(0, 1)
+        across, down = (near + beyond).clamp(0, width - 1), (beside + beyond).clamp(0, height - 1)
+        at = (down[:, None] * width + across).flatten()
+        for channel, values in enumerate(padded):
+            torch.sum(weight * values.view(-1).index_select(0, at).view(weight.shape), 0, out=total[channel, part])
     return total
 
 
