@@ -511,6 +511,25 @@ def test_no_time_for_a_single_cell() -> None:
     assert picture.evaluations == 0
 
 
+@pytest.mark.parametrize("estimator", [mcaa.Auto(), mcaa.JumpCorrected()], ids=repr)
+@pytest.mark.parametrize("options", [{"spp": 16}, {"spp": 4096}, {"spp": 256, "tolerance": 1e-6}], ids=repr)
+def test_every_pixel_has_a_value_before_any_takes_long(estimator: mcaa.Estimator, options: dict[str, Any]) -> None:
+    """A whole picture takes 0.5 s and more; the time is up with the first look at it, after which the clock jumps."""
+    calls = 0
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        nonlocal calls
+        calls += len(x)
+        if calls > 1.5 * 5 * 256 * 256:
+            time.sleep(0.05)
+        return (torch.hypot(x - 128, y - 128) < 90).to(x)
+
+    picture = mcaa.render(f, (256, 256), estimator=estimator, seconds=0.4, **options)
+    assert picture.stopped == "seconds" and picture.image.isfinite().all() and (picture.spp > 0).all()
+    # the area of a disc by its pixels
+    assert abs(float(picture.image.mean()) - math.pi * 90**2 / 256**2) < 2e-3
+
+
 @pytest.mark.parametrize("seconds", [1e6, math.inf])
 def test_time_to_spare(seconds: float) -> None:
     picture = mcaa.render(wild, SIZE, seconds=seconds, spp=20)
@@ -887,17 +906,33 @@ def test_a_round_without_a_point_does_not_spoil_the_next(estimator: mcaa.Auto, w
 
 
 def test_time_that_does_not_last_is_said() -> None:
-    """An f that takes long a call ends a cell of jumps to be located, too, and what has no value is counted in a warning."""
+    """Of an f that takes long a call not even a first look comes to an end, and what has no value is counted in a warning."""
 
     def slow(x: Tensor, y: Tensor) -> Tensor:
         time.sleep(0.01)
         return (torch.hypot(x - 8, y - 8) < 5).to(x.dtype)
 
-    with pytest.warns(mcaa.McaaWarning, match="the time was up before 245760 of 262144 pixels"):
+    with pytest.warns(mcaa.McaaWarning, match="the time was up before") as met:
         picture = mcaa.render(slow, (512, 512), seconds=0.05)
-    assert picture.stopped == "seconds" and int(picture.image.isnan().sum()) == 245760
+    empty = int(picture.image.isnan().sum())
+    assert picture.stopped == "seconds" and 0 < empty < 512 * 512
+    assert f"before {empty} of 262144 pixels" in str(met[0].message)
     # without the clock a cell takes 263 calls
     assert picture.seconds < 1.5
+
+
+def test_a_cell_of_jumps_ends_with_the_clock() -> None:
+    """A first look takes four calls, and a cell whose jumps are located 263."""
+    calls = 0
+
+    def slow(x: Tensor, y: Tensor) -> Tensor:
+        nonlocal calls
+        calls += 1
+        time.sleep(0.02)
+        return (torch.hypot(x - 40, y - 40) < 30).to(x.dtype)
+
+    picture = mcaa.render(slow, (80, 80), seconds=1.0)
+    assert picture.stopped == "seconds" and calls < 100 and bool(picture.image.isfinite().all())
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-22, 1e20, 1e30])

@@ -67,7 +67,7 @@ class Integrand:
                     first = tuple((~torch.isfinite(value)).nonzero()[0].tolist())
                     raise McaaError(
                         f"f returned {float(value[first])} at x = {float(x[first]):.9g}, y = {float(y.expand(x.shape)[first]):.9g} "
-                        f"(channel {channel}); mend f, or pass nonfinite='ignore' or 'propagate'"
+                        f"(channel {channel}); mend f; render alone passes over such samples, by nonfinite='ignore' or 'propagate'"
                     )
         return values
 

@@ -17,7 +17,7 @@ from torch_mcaa.estimators import Estimate, Estimator, Pixelwise, PixelwiseRound
 from torch_mcaa.estimators.base import MANY
 from torch_mcaa.grid import Cell
 from torch_mcaa.history import History
-from torch_mcaa.picture import blank, check_size, part_of
+from torch_mcaa.picture import add, blank, check_size, part_of
 from torch_mcaa.progress import Progress
 from torch_mcaa.rendering import Stopped
 from torch_mcaa.sharing_out import shared_out
@@ -35,6 +35,12 @@ _TRUSTED = 3
 """Rounds of a cell with nothing to locate before it is looked for again."""
 _STEPS = 2
 """Numbers of evaluations that a round may ask for, in each octave."""
+_GLANCE, _GLANCE_SHARE = 4, 8
+"""Evaluations a pixel, at most, of the first look at a picture that the time may not last for, and one part in so many of the cap."""
+_TIMED = 16
+"""Of the first round after it, if no tolerance asks for less: on fewer lines jumps are located little faster."""
+_TIMED_CELL = 64
+"""Evaluations a pixel that cells are made for where the time, and not the cap, is expected to end the work: smaller ones take longer."""
 _PILOT_SHARE = 4
 """One part in so many of the evaluations is the pilot that an allocation is made from."""
 
@@ -67,7 +73,8 @@ class Rounds:
     def __post_init__(self) -> None:
         check_size(self.task)
         adaptive = self.tolerance is not None or self.task.deadline is not None
-        size = self.estimator.cell(self.task, self.spp, adaptive)
+        timed = self.task.deadline is not None
+        size = self.estimator.cell(self.task, min(self.spp, _TIMED_CELL) if timed else self.spp, adaptive)
         # a part of a picture under an endless filter takes the samples of all of it
         cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
         self._side = _BLOCK if cut else max(size)
@@ -82,7 +89,11 @@ class Rounds:
         self.single = not adaptive and (not self.allocated or self._known is not None)
         self.pilot = self.spp
         if not self.single:
-            self.pilot = max(chosen.fewest, min(self.spp, max(_PILOT, chosen.again)) if adaptive else self.spp // _PILOT_SHARE)
+            least = max(_PILOT, chosen.again)
+            if self.tolerance is None and chosen.glance(self.task) is not None:
+                # what a second round would not be worth is had in the first
+                least = _TIMED if self.spp >= 2 * _TIMED else self.spp
+            self.pilot = max(chosen.fewest, min(self.spp, least) if adaptive else self.spp // _PILOT_SHARE)
             if self.allocated and self.spp < self.pilot + self._floor:
                 raise McaaError(
                     f"{chosen} has a pilot of {self.pilot} evaluations a pixel and then at least {self._floor}, got spp = {self.spp}; "
@@ -106,6 +117,8 @@ class Rounds:
         expected to need, else for all that are left; or it shares out as many by the estimator's allocation.
         """
         pixels = self.task.screen.height * self.task.screen.width
+        if self.task.deadline is not None:
+            self._glance()
         asked = dict.fromkeys(range(len(self.histories)), Asked(self.pilot))
         while True:
             began, before = time.perf_counter(), self.task.integrand.evaluations
@@ -147,6 +160,21 @@ class Rounds:
                 }
                 if now > self.task.deadline:
                     return "seconds"
+
+    def _glance(self) -> None:
+        """A few evaluations in every pixel, before what takes long in each; the first round of a cell takes their place."""
+        first, spp = self.estimator.glance(self.task), max(1, min(_GLANCE, self.spp // _GLANCE_SHARE))
+        if first is None or self.spp < spp + self.estimator.fewest:
+            return
+        look, deadline = first.round(self.task, spp, 0), self.task.deadline
+        for cell in self.task.screen.cells(*first.cell(self.task, spp, True)):
+            if deadline is not None and time.perf_counter() > deadline:
+                return
+            new = look.estimate(cell)
+            if self._picture is None:
+                self._picture = blank(self.task, len(new.value), False)
+            add(self._picture, cell, new, None, False)
+            self._spent += float(new.points.sum(dtype=torch.int64))
 
     def _affordable(self, active: Sequence[int], wanted: dict[int, Asked] | None, left: float) -> dict[int, Asked]:
         """What each cell may ask for if the `left` evaluations are shared in proportion to what is wanted; those that get too few go."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Hashable
+from types import CellType
 from typing import Any, Literal
 
 import torch
@@ -201,7 +203,7 @@ class Supersampler(torch.nn.Module):
 
     def _looks(self, f: Function) -> bool:
         """Whether steep ramps of f are looked for: at its first, second, fourth, eighth ... call, for they may get steeper as it is trained."""
-        code = hash(getattr(f, "__code__", type(f)))
+        code = hash(_code(f))
         self._asked[code] += 1
         return self._asked[code].bit_count() == 1
 
@@ -237,3 +239,19 @@ class Supersampler(torch.nn.Module):
 
     def extra_repr(self) -> str:
         return f"{self.size}, filter={self.filter}, estimator={self.estimator}, spp={self.spp}, boundary={self.boundary!r}, seed={self.seed}"
+
+
+def _code(f: object, depth: int = 3) -> Hashable:
+    """What f runs: its code, and that of the functions that it was made around."""
+    held = [cell.cell_contents for cell in getattr(f, "__closure__", None) or () if _filled(cell)]
+    held += [inner for inner in (getattr(f, "func", None), getattr(f, "__wrapped__", None)) if inner is not None]
+    around = tuple(_code(inner, depth - 1) for inner in held if callable(inner)) if depth else ()
+    return getattr(f, "__code__", type(f)), around
+
+
+def _filled(cell: CellType) -> bool:
+    try:
+        cell.cell_contents
+    except ValueError:
+        return False
+    return True

@@ -72,6 +72,8 @@ SPELLINGS: dict[str, Spelling] = {
     "isclose": lambda h: torch.isclose(h + 4, torch.zeros_like(h), rtol=0, atol=4.0),
     "sign": lambda h: (1 - torch.sign(h)) / 2,
     "sgn": lambda h: (1 - h.sgn()) / 2,
+    "h / |h|": lambda h: (1 - h / h.abs()) / 2,
+    "h / sqrt(h h)": lambda h: (1 - torch.div(h, torch.sqrt(h * h))) / 2,
     "signbit": lambda h: torch.signbit(h),
     "copysign": lambda h: 0.5 + torch.copysign(torch.full_like(h, 0.5), -h),
     "heaviside": lambda h: torch.heaviside(-h, torch.ones((), dtype=h.dtype)),
@@ -132,5 +134,7 @@ SPELLINGS: dict[str, Spelling] = {
     "sigmoid": lambda h: torch.sigmoid(-50 * h) > 0.5,
     "saturated sigmoid": lambda h: torch.sigmoid(-1e6 * h) > 0.5,
     "reciprocal": lambda h: 1 / h < 0,
+    "h ** -1": lambda h: h**-1 < 0,
+    "float_power": lambda h: torch.float_power(h, -3) < 0,
     "tanh of an exponential": lambda h: torch.tanh(torch.exp(h) - 1) < 0,
 }

@@ -137,6 +137,11 @@ def _constants(x: Tensor, y: Tensor) -> Tensor:
     return x * scale * CONSTANT.item() + torch.arange(3.0).sort().values.sum() / THETA
 
 
+def _made(x: Tensor, y: Tensor) -> Tensor:
+    """Of the points nothing but the type is in a constant that is made from them."""
+    return (x > THETA) * torch.where(x.new_tensor(3.0) > 2, 1.0, 2.0) * (torch.ones_like(x[:1]) > 0.5)
+
+
 def _own_state(x: Tensor, y: Tensor) -> Tensor:
     x -= 3
     out = torch.zeros_like(x)
@@ -157,7 +162,7 @@ def _network() -> Function:
 
 
 @pytest.mark.parametrize(
-    "f", [disc, _vmap, _constants, _own_state, _turned, _network(), mcaa.Texture(torch.rand(3, 13, 17), "nearest")]
+    "f", [disc, _vmap, _constants, _own_state, _made, _turned, _network(), mcaa.Texture(torch.rand(3, 13, 17), "nearest")]
 )
 def test_nothing_is_said_of_what_is_in_order(f: Function) -> None:
     """13 and 17 are the probe's numbers of points: layers and textures of those sizes are not taken for points."""

@@ -65,6 +65,9 @@ class Auto(Estimator):
     def check(self, task: Task) -> None:
         Shared().check(task)
 
+    def glance(self, task: Task) -> Estimator | None:
+        return Shared() if _can_locate(task) and task.once(axes_of) is None and held(task, 1) >= LEAST else None
+
     def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         if task.once(axes_of) is not None:
             return ()

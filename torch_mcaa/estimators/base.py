@@ -163,6 +163,10 @@ class Estimator(ABC):
         """The least number of evaluations a pixel of a round that is merged with others."""
         return self.fewest
 
+    def glance(self, task: Task) -> Estimator | None:
+        """What gives a first value in every pixel where a round of this one takes long; None if it does not."""
+        return None
+
     def unfused(self, task: Task) -> str | None:
         """Why it has no graph that f could be compiled into for this task; None if it has one."""
         return f"{self} has no graph to compile f into: take Shared(Lattice())"

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Estimator, Round, Task
-from torch_mcaa.estimators.narrow import check_held
+from torch_mcaa.estimators.narrow import LEAST, check_held, held
 from torch_mcaa.estimators.parts import MODELS, cell_of, lines_for, located
 from torch_mcaa.estimators.piloted import PilotedRound
+from torch_mcaa.estimators.shared import Shared
 from torch_mcaa.patterns import Lattice
 
 _FEWEST = 6
@@ -59,6 +60,9 @@ class JumpCorrected(Estimator):
     def check(self, task: Task) -> None:
         if math.isinf(max(task.filter.radius)):
             raise McaaError(f"JumpCorrected needs a filter of finite width, got {task.filter}; use Shared()")
+
+    def glance(self, task: Task) -> Estimator | None:
+        return Shared() if held(task, 1) >= LEAST else None
 
     def bias(self, task: Task, spp: int) -> tuple[str, ...]:
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)

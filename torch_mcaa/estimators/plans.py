@@ -62,7 +62,8 @@ def plans_of(
 ) -> list[Plan]:
     """Those for the blocks of a cell that are not `done`, the one of the most lines last: as many as `budget` evaluations are expected to pay for.
 
-    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise. These may have up to
+    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise, but no fewer than that asks
+    for. These may have up to
     `ample` evaluations a pixel if they need them for three lines. Those that would have less than `fewest` lines are sampled plainly.
     """
     pixels = sizes_of(cell)
@@ -78,6 +79,11 @@ def plans_of(
             break
         steps = fewer
         lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
+    for more in range(STEPS[0], steps, -1):
+        same, dearer = _lines(more, judged, pixels, quiet, share, most, plain, second, ample)
+        if torch.equal(same, lines):
+            steps, cost = more, dearer
+            break
     lines = torch.where(lines < fewest, 0, lines)
     if plain and fewest <= FEWEST_LINES:
         lines[_thin_too(lines, cost, share, steps, judged, pixels)] = FEWEST_LINES

@@ -72,6 +72,8 @@ def rule_of(function: Any) -> Rule | None:
     return None if getattr(function, "__name__", "") in ESCAPES else _RULES.get(name_of(function))
 
 
+_SIGN = 1e-4
+"""How far from 1 the size of a quotient may be that is a sign but for rounding."""
 _WITHOUT_DERIVATIVE = ("heaviside", "floor_divide", "floordiv", "rfloordiv")
 """Steps for which autograd raises in the place of a slope of 0."""
 
@@ -165,12 +167,19 @@ def _quotient(rounded: Callable[[Tensor], Tensor] | None, swapped: bool = False)
         if how is None:
             mode = _argument(args, kwargs, 2, "rounding_mode")
             if mode is None:
-                return _pole(b)
+                return _divided(a, b, result)
             how = torch.floor if mode == "floor" else torch.trunc
         q = a / b
         return Level(how(q.detach()), lambda: _fraction(a / b))
 
     return rule
+
+
+def _divided(a: Any, b: Any, result: Any) -> Decision | None:
+    """a / b has a pole where b crosses zero; d / |d| and d / sqrt(d * d) are the sign of d."""
+    if _floating(a) and _floating(b) and bool(((result.detach().abs() - 1).abs() < _SIGN).all()):
+        return Level(result.detach() > 0, lambda: a)
+    return _pole(b)
 
 
 def _pole(b: Any) -> Decision | None:
@@ -231,6 +240,13 @@ def _cut(y: Tensor, x: Tensor) -> Level:
 def _atan2(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
     y, x = args[0], _argument(args, kwargs, 1, "other")
     return _cut(y, x) if _floating(y) and _floating(x) else None
+
+
+def _pow(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    exponent = _argument(args, kwargs, 1, "exponent")
+    if not isinstance(exponent, Tensor) and exponent < 0 and _floating(args[0]):
+        return _pole(args[0])
+    return _complex(args, kwargs, result)
 
 
 def _complex(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
@@ -342,7 +358,8 @@ _RULES: dict[str, Rule] = {
     **dict.fromkeys(("sort", "argsort", "median", "nanmedian", "mode"), _indices(1, -1)),
     **dict.fromkeys(("topk", "kthvalue"), _indices(2, -1)),
     **dict.fromkeys(("atan2", "arctan2"), _atan2),
-    **dict.fromkeys(("log", "log2", "log10", "sqrt", "pow"), _complex),
+    **dict.fromkeys(("log", "log2", "log10", "sqrt"), _complex),
+    **dict.fromkeys(("pow", "float_power"), _pow),
     "angle": _angle,
     "tan": _tan,
     "searchsorted": _searchsorted,

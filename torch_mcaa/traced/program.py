@@ -23,7 +23,7 @@ _POINT, _PARAMETER = 1, 2
 _FIRST = 2
 """The bit of the first tensor that wants a gradient; that of the first decision is the next one, and so on by turns."""
 _OURS = ("aten", "prim", "prims", "quantized", "torchvision")
-_POLES = ("div", "divide", "true_divide", "reciprocal", "tan")
+_POLES = ("div", "divide", "true_divide", "reciprocal", "pow", "float_power", "tan")
 
 
 @dataclass(frozen=True)
@@ -150,10 +150,12 @@ class _Probe(Watch):
         self._calls += 1
         given = list(tensors_in((args, kwargs)))
         stranger = bool(given) and _store(given[0]) not in self._stores
-        depends = 0
-        for tensor in given:
-            depends |= self._origin(tensor, name_of(func))
-        name = getattr(func, "__name__", "")
+        depends, name = 0, getattr(func, "__name__", "")
+        # of x.new_tensor(3.0) and torch.full_like(x, 3.0) nothing but the type and the shape are x's
+        made = name.startswith("new_") or name.endswith("_like")
+        for number, tensor in enumerate(given):
+            origin = self._origin(tensor, name_of(func))
+            depends |= 0 if made and number == 0 else origin
         if stranger and in_place(func) and name != "requires_grad_":
             self.problems.append(
                 f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one (statistics of a "

@@ -18,6 +18,8 @@ _NARROW = 2.0**-10
 """Px: the width of the last brackets."""
 _NARROWEST = 2.0**-26
 """Px: of those where the margin looks like a step."""
+_BESIDE = 2.0**-20
+"""How far from its end a piece is asked beside a root, in parts of that."""
 _FREQUENT, _TRIED, _KEPT = 256, 32, 16
 _SMOOTH = 0.02
 """A jump is at least so much of what f changes by in segments of 1 px."""
@@ -178,9 +180,12 @@ def _quartered(asked: Asked, brackets: Brackets, width: float, most: int, seed: 
 
 
 def _straight(segments: Brackets, margin: Tensor) -> Tensor:
-    """The root of the line through the margins at the ends, kept away from them; the middle where they have one sign."""
+    """Beside the root of the line through the margins at the ends, kept away from them; the middle where they have one sign.
+
+    Beside it, for at the root itself an f that divides by its margin has no value.
+    """
     share = margin[0] / (margin[0] - margin[1])
-    share = torch.where((share > 0) & (share < 1), share.clamp(0.02, 0.98), 0.5)
+    share = torch.where((share > 0) & (share < 1), share.clamp(0.02, 0.98), 0.5) * (1 - _BESIDE)
     return segments.low + share * (segments.high - segments.low)
 
 

@@ -24,7 +24,7 @@ JUDGED = 24
 KEPT = 0.75
 """What is left has to be this much of what there was before blocks are judged, or it is not done: a few pixels cannot pay for it."""
 STEPS = (14, 11, 8)
-"""Halvings of a segment of 1 px, the first that can be paid for."""
+"""Halvings of a segment of 1 px: the most, fewer for the sake of more lines, and the fewest."""
 _AGAIN = 0.75
 """What a second shift takes, in parts of the first's cost."""
 _ENOUGH = 2e-5
@@ -77,6 +77,8 @@ class Corrector:
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = shape_of(ask.cell)
         self.most_steps = steps
+        # of lines that lie alike about the sides of a box in both shifts as many would err alike
+        self.again = base.count if ask.task.once(sides) is None else base.count + 2
         # where there are pieces that had to be left to sampling, and what it would have taken not to
         self.missed = torch.zeros_like(allowed), 0.0
 
@@ -130,7 +132,7 @@ class Corrector:
             return unknown
         lost = self.work.thin.lost
         try:
-            second = self.work.shift(self.base.count, 1, first.pixels.plane(known), first)
+            second = self.work.shift(self.again, 1, first.pixels.plane(known), first)
         except Spent:
             return unknown
         # a shift that lost thin pieces tells nothing of one that has them
@@ -150,7 +152,7 @@ class Corrector:
         # with thin pieces that could not be followed samples do as well as lines that miss them
         whole = by_block(self.work.thin.lost, self.cell) == 0
         core = first.pixels.plane(first.core)
-        cost = _AGAIN * spent + self.base.count * by_block(dilated(core, 2), self.cell)
+        cost = _AGAIN * self.again / self.base.count * spent + self.again * by_block(dilated(core, 2), self.cell)
         order = torch.argsort(cost)
         known = torch.zeros_like(cost, dtype=torch.bool)
         known[order] = (cost * whole)[order].cumsum(0) <= self.ask.left
@@ -236,10 +238,10 @@ class Corrector:
             reached |= used & axes.pixels.plane(density > 0)
         rows, cols = reached.nonzero().unbind(1)
         size = torch.bincount(rows // BLOCK * self.blocks[1] + cols // BLOCK, minlength=len(counts))
-        cost = counts
-        for steps in (s for s in STEPS if s <= self.most_steps):
+        cost, shifts = counts, (1 + self.again / self.base.count) / 2
+        for steps in (self.most_steps, *(s for s in STEPS if s < self.most_steps)):
             self.work.finest = _finest(steps)
-            cost = counts * (2 * steps - 6) + self.base.count * size
+            cost = shifts * counts * (2 * steps - 6) + self.base.count * size
             if float(cost.sum()) <= self.ask.left:
                 return axes, wanted
         cheap = torch.argsort(cost)
