@@ -116,19 +116,21 @@ def test_only_torch_and_numpy_at_module_level(module: str) -> None:
 
 PROGRAM = """
 import json, sys, time, warnings
+start = time.process_time()
 import torch
+torchs = time.process_time() - start
 def state():
     return [torch.get_rng_state().tolist(), str(torch.get_default_dtype()), torch.get_num_threads(), torch.is_grad_enabled(),
             [str(f) for f in warnings.filters], sys.path]
 before, modules, start = state(), set(sys.modules), time.process_time()
 import torch_mcaa
 spent = time.process_time() - start
-print(json.dumps({"spent": spent, "new": sorted(set(sys.modules) - modules), "same": state() == before}))
+print(json.dumps({"share": spent / torchs, "new": sorted(set(sys.modules) - modules), "same": state() == before}))
 """
 
 
 def test_import_is_light_and_changes_nothing() -> None:
-    """Three processes; the time is the processor's, not the clock's, and the first may have to compile."""
+    """Three processes; the time is the processor's, not the clock's, in parts of torch's own, and the first may have to compile."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT.parent)}
     runs = [
         json.loads(
@@ -136,7 +138,7 @@ def test_import_is_light_and_changes_nothing() -> None:
         )
         for _ in range(3)
     ]
-    assert statistics.median(run["spent"] for run in runs) <= 0.2
+    assert statistics.median(run["share"] for run in runs) <= 0.25
     for run in runs:
         assert run["same"]
         new = set(run["new"])

@@ -633,7 +633,7 @@ def test_interval() -> None:
         torch.testing.assert_close(low, picture.image - z * picture.stderr)
         torch.testing.assert_close(high, picture.image + z * picture.stderr)
     assert torch.equal(picture.interval()[0], picture.interval(0.95)[0])
-    for level in (0, 1, -0.5, 1.5, 95, math.nan):
+    for level in (0, 1, -0.5, 1.5, 95, math.nan, "0.95", None):
         with pytest.raises(McaaError, match="level must lie between 0 and 1"):
             picture.interval(level)
 
@@ -922,7 +922,7 @@ def test_time_that_does_not_last_is_said() -> None:
 
 
 def test_a_cell_of_jumps_ends_with_the_clock() -> None:
-    """A first look takes four calls, and a cell whose jumps are located 263."""
+    """Each call takes 20 ms: the whole takes 56."""
     calls = 0
 
     def slow(x: Tensor, y: Tensor) -> Tensor:
@@ -931,8 +931,8 @@ def test_a_cell_of_jumps_ends_with_the_clock() -> None:
         time.sleep(0.02)
         return (torch.hypot(x - 40, y - 40) < 30).to(x.dtype)
 
-    picture = mcaa.render(slow, (80, 80), seconds=1.0)
-    assert picture.stopped == "seconds" and calls < 100 and bool(picture.image.isfinite().all())
+    picture = mcaa.render(slow, (80, 80), seconds=0.5)
+    assert picture.stopped == "seconds" and calls < 45 and bool(picture.image.isfinite().all())
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e-22, 1e20, 1e30])

@@ -566,3 +566,23 @@ def test_a_change_in_place_that_spoils_a_derivative_is_said() -> None:
     layer = mcaa.Supersampler((16, 16), estimator=mcaa.Shared(), spp=32)
     with pytest.raises(mcaa.McaaError, match="in place"):
         layer(f).sum().backward()
+
+
+def test_steep_ramps_are_looked_for_in_every_f_of_one_wrapper() -> None:
+    """All run the wrapper's code, and the third is the first that has a ramp."""
+    layer, edge = mcaa.Supersampler((32, 32), estimator=mcaa.Shared()), torch.tensor(10.0, requires_grad=True)
+
+    def around(f: Any) -> Any:
+        return lambda x, y: f(x, y)
+
+    for f in (lambda x, y: (x > edge).to(x), lambda x, y: (y > edge).to(x)):
+        layer(around(f)).sum().backward()
+    with pytest.warns(mcaa.McaaWarning, match="changes by"):
+        layer(around(lambda x, y: torch.nn.functional.normalize((x - edge)[:, None], dim=1)[:, 0])).sum().backward()
+
+
+def test_a_sign_by_division_moves() -> None:
+    edge = torch.tensor(20.2, requires_grad=True)
+    layer = mcaa.Supersampler((64, 64), spp=64, estimator=mcaa.Shared())
+    layer(lambda x, y: torch.sin(2 * x) + 0.1 * (x - edge) / (x - edge).abs()).sum().backward()
+    assert edge.grad is not None and abs(float(edge.grad) + 0.2 * 64) < 0.2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Literal
 
@@ -62,7 +63,7 @@ class Rendering:
     def unseen(self) -> Tensor:
         """(C, H, W) the part of `stderr`, in quadrature, that stands for features which no sample met; 0 where it is not told apart.
 
-        A hundredth of the range of values over the samples a pixel, cell by cell. A tolerance does not count it.
+        A hundredth of the range of values, of a constant of its magnitude, over the samples a pixel, cell by cell. A tolerance does not count it.
         """
         plane = torch.zeros_like(self.stderr)
         for cell, floor in self.floors:
@@ -75,8 +76,8 @@ class Rendering:
         Raises:
             McaaError: a level outside (0, 1).
         """
-        if not 0 < level < 1:
-            raise McaaError(f"level must lie between 0 and 1, got {level}; 0.95 is usual")
+        if not isinstance(level, Real) or not 0 < level < 1:
+            raise McaaError(f"level must lie between 0 and 1, got {level!r}; 0.95 is usual")
         z = math.sqrt(2) * float(torch.erfinv(torch.tensor(level, dtype=torch.float64)))
         return self.image - z * self.stderr, self.image + z * self.stderr
 

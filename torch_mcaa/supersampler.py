@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Hashable
-from types import CellType
 from typing import Any, Literal
 
 import torch
@@ -21,10 +18,11 @@ from torch_mcaa.render import render
 from torch_mcaa.replay.autocast import Autocast
 from torch_mcaa.replay.function import Replayed
 from torch_mcaa.replay.gradients import Replay
+from torch_mcaa.replay.looks import Looks
 from torch_mcaa.replay.of_texels import OfTexels
 from torch_mcaa.replay.plan import followed, plan
 from torch_mcaa.texture import Texture
-from torch_mcaa.traced.transforms import transformed
+from torch_mcaa.traced.inside import transformed
 
 
 class Supersampler(torch.nn.Module):
@@ -98,7 +96,7 @@ class Supersampler(torch.nn.Module):
         self.extent = extent
         self.calls = 0
         self._since_recomputed = 0
-        self._asked: Counter[int] = Counter()
+        self._looks = Looks()
         # holds nothing but the layer's dtype and device
         default = torch.get_default_dtype()
         dtype = default if default == torch.float64 else torch.float32
@@ -198,14 +196,8 @@ class Supersampler(torch.nn.Module):
         wanted = extent if isinstance(extent, Tensor) and extent.requires_grad else None
         exact = OfTexels.of(task, wanted) if isinstance(self.estimator, Auto) else None
         return exact or plan(
-            task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities), self._looks(task.integrand.function)
+            task, autocast, self.spp, wanted, self.decorrelate, bool(self.discontinuities), self._looks.due(task.integrand.function)
         )
-
-    def _looks(self, f: Function) -> bool:
-        """Whether steep ramps of f are looked for: at its first, second, fourth, eighth ... call, for they may get steeper as it is trained."""
-        code = hash(_code(f))
-        self._asked[code] += 1
-        return self._asked[code].bit_count() == 1
 
     def _extent(self) -> Any:
         return self.extent.tolist() if isinstance(self.extent, Tensor) else self.extent
@@ -239,19 +231,3 @@ class Supersampler(torch.nn.Module):
 
     def extra_repr(self) -> str:
         return f"{self.size}, filter={self.filter}, estimator={self.estimator}, spp={self.spp}, boundary={self.boundary!r}, seed={self.seed}"
-
-
-def _code(f: object, depth: int = 3) -> Hashable:
-    """What f runs: its code, and that of the functions that it was made around."""
-    held = [cell.cell_contents for cell in getattr(f, "__closure__", None) or () if _filled(cell)]
-    held += [inner for inner in (getattr(f, "func", None), getattr(f, "__wrapped__", None)) if inner is not None]
-    around = tuple(_code(inner, depth - 1) for inner in held if callable(inner)) if depth else ()
-    return getattr(f, "__code__", type(f)), around
-
-
-def _filled(cell: CellType) -> bool:
-    try:
-        cell.cell_contents
-    except ValueError:
-        return False
-    return True

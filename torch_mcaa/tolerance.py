@@ -34,7 +34,7 @@ class Tolerance:
     def __post_init__(self) -> None:
         for name, value in (("absolute", self.absolute), ("relative", self.relative)):
             if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value) or value < 0:
-                raise McaaError(f"the {name} tolerance must be a number of at least 0, got {value!r}")
+                raise McaaError(f"the {name} tolerance must be a finite number of at least 0, got {value!r}")
         if self.absolute == 0 and self.relative == 0:
             raise McaaError("a tolerance must be above 0, got 0; for instance tolerance=1e-3")
 

@@ -33,8 +33,9 @@ class JumpCorrected(Estimator):
     has the rest, as in `Shared(Lattice())`. Not labelled unbiased: where to look is decided by the samples.
 
     For filters that separate and end. Under those that end in a step and are whole pixels wide, as the box is, the lines lie alike about
-    every pixel's sides, so that their mean errs by the order of n^-2; under those of other widths edges across the lines keep an error of
-    0.3 / n: whether a line lies just inside or outside is not corrected. Few pixels, under 256, are sampled plainly.
+    every pixel's sides, so that their mean errs by the order of n^-2, which a second lattice of more lines tells; under those of other
+    widths edges across the lines keep an error of 0.3 / n: whether a line lies just inside or outside is not corrected. Few pixels, under
+    256, are sampled plainly.
 
     Attributes:
         base: the pattern whose samples lie on lines along both axes: a rank-1 lattice.

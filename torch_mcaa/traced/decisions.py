@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode, handle_torch_function, has_torch_function_unary
 
 from torch_mcaa.errors import McaaError
+from torch_mcaa.traced.inside import transformed
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ def rule_of(function: Any) -> Rule | None:
 
 
 _SIGN = 1e-4
-"""How far from 1 the size of a quotient may be that is a sign but for rounding."""
+"""How far apart the sizes of quotients may be, in parts of them, that are signs but for rounding."""
 _WITHOUT_DERIVATIVE = ("heaviside", "floor_divide", "floordiv", "rfloordiv")
 """Steps for which autograd raises in the place of a slope of 0."""
 
@@ -176,9 +177,11 @@ def _quotient(rounded: Callable[[Tensor], Tensor] | None, swapped: bool = False)
 
 
 def _divided(a: Any, b: Any, result: Any) -> Decision | None:
-    """a / b has a pole where b crosses zero; d / |d| and d / sqrt(d * d) are the sign of d."""
-    if _floating(a) and _floating(b) and bool(((result.detach().abs() - 1).abs() < _SIGN).all()):
-        return Level(result.detach() > 0, lambda: a)
+    """a / b has a pole where b crosses zero; d / |d| and c d / sqrt(d * d) have the sign of d."""
+    if _floating(a) and _floating(b) and result.numel() and not transformed() and bool((b >= 0).all()):
+        size = result.detach().abs()
+        if bool(size.amax() - size.amin() <= _SIGN * size.amax()):
+            return Level(result.detach() < 0, lambda: a)
     return _pole(b)
 
 

@@ -19,7 +19,8 @@ from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import HOMES, McaaError
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, called, in_place, rule_of
-from torch_mcaa.traced.transforms import beyond, outside, transformed
+from torch_mcaa.traced.inside import transformed
+from torch_mcaa.traced.transforms import beyond, outside
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,14 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.traced.decisions import Choice, Decision, Level
-
-_functorch: Any = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def transformed() -> bool:
-    """Whether the code that runs is inside a transform of torch.func."""
-    return _functorch.peek_interpreter_stack() is not None
+from torch_mcaa.traced.inside import functorch, transformed
 
 
 def behind(tensor: Tensor) -> Tensor:
     """The tensor behind that of a transform; axes that vmap hides come first, and the graph is that outside the transforms."""
-    while _functorch.is_functorch_wrapped_tensor(tensor):
-        mapped = _functorch.maybe_get_bdim(tensor)
-        tensor = _functorch.get_unwrapped(tensor)
+    while functorch.is_functorch_wrapped_tensor(tensor):
+        mapped = functorch.maybe_get_bdim(tensor)
+        tensor = functorch.get_unwrapped(tensor)
         if mapped >= 0:
             tensor = tensor.movedim(mapped, 0)
     return tensor
@@ -31,8 +25,8 @@ def behind(tensor: Tensor) -> Tensor:
 
 def held(tensor: Tensor) -> Tensor:
     """The tensor behind that of a transform as it was given to it, axes that vmap hides where they are."""
-    while _functorch.is_functorch_wrapped_tensor(tensor):
-        tensor = _functorch.get_unwrapped(tensor)
+    while functorch.is_functorch_wrapped_tensor(tensor):
+        tensor = functorch.get_unwrapped(tensor)
     return tensor
 
 

@@ -238,10 +238,10 @@ class Corrector:
             reached |= used & axes.pixels.plane(density > 0)
         rows, cols = reached.nonzero().unbind(1)
         size = torch.bincount(rows // BLOCK * self.blocks[1] + cols // BLOCK, minlength=len(counts))
-        cost, shifts = counts, (1 + self.again / self.base.count) / 2
+        cost = counts
         for steps in (self.most_steps, *(s for s in STEPS if s < self.most_steps)):
             self.work.finest = _finest(steps)
-            cost = shifts * counts * (2 * steps - 6) + self.base.count * size
+            cost = counts * (2 * steps - 6) + self.base.count * size
             if float(cost.sum()) <= self.ask.left:
                 return axes, wanted
         cheap = torch.argsort(cost)
