@@ -62,9 +62,9 @@ def plans_of(
 ) -> list[Plan]:
     """Those for the blocks of a cell that are not `done`, the one of the most lines last: as many as `budget` evaluations are expected to pay for.
 
-    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise, but no fewer than that asks
-    for. These may have up to
-    `ample` evaluations a pixel if they need them for three lines. Those that would have less than `fewest` lines are sampled plainly.
+    With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise, but as many as these leave
+    room for. They may have up to `ample` evaluations a pixel if they need them for three lines. Those that would have less than `fewest` lines
+    are sampled plainly.
     """
     pixels = sizes_of(cell)
     spp = budget / float(pixels.sum())

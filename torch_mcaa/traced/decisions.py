@@ -247,7 +247,7 @@ def _atan2(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | No
 
 def _pow(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
     exponent = _argument(args, kwargs, 1, "exponent")
-    if not isinstance(exponent, Tensor) and exponent < 0 and _floating(args[0]):
+    if isinstance(exponent, (int, float)) and exponent < 0 and _floating(args[0]):
         return _pole(args[0])
     return _complex(args, kwargs, result)
 

@@ -213,7 +213,7 @@ class Corrector:
             self.work.finest = _finest(STEPS[0])
             try:
                 third = self.work.shift(count, 2 + 2 * level, chosen)
-                fourth = self.work.shift(count, 3 + 2 * level, chosen, third)
+                fourth = self.work.shift(count + self.again - self.base.count, 3 + 2 * level, chosen, third)
             except Spent:
                 break
             core = replace(third, core=third.core & fourth.core)
