@@ -73,8 +73,8 @@ class Rounds:
     def __post_init__(self) -> None:
         check_size(self.task)
         adaptive = self.tolerance is not None or self.task.deadline is not None
-        timed = self.task.deadline is not None
-        size = self.estimator.cell(self.task, min(self.spp, _TIMED_CELL) if timed else self.spp, adaptive)
+        many = self.spp if self.task.deadline is None else min(self.spp, _TIMED_CELL)
+        size = self.estimator.cell(self.task, many, adaptive)
         # a part of a picture under an endless filter takes the samples of all of it
         cut = self.tolerance is not None and math.isfinite(max(self.task.filter.radius))
         self._side = _BLOCK if cut else max(size)
@@ -131,7 +131,7 @@ class Rounds:
                 if each not in rounds:
                     alike = [other for other, within in parts if asked[within[0]] == each]
                     rounds[each] = self._round(each, alike, each.points + spare)
-                if self.task.deadline is not None and time.perf_counter() > self.task.deadline:
+                if self.task.late:
                     return "seconds"
                 found = rounds[each].estimate(part)
                 for index in inside:
@@ -150,7 +150,8 @@ class Rounds:
             wanted = {index: self._needed(index) for index in active} if self.tolerance is not None else None
             asked = self._affordable(active, wanted, self.spp * pixels - self._spent)
             if not asked:
-                return "spp"
+                # what the time did not last for may have been sampled in the place of being located
+                return "seconds" if self.task.late else "spp"
             if self.task.deadline is not None:
                 now = time.perf_counter()
                 rate = (now - began) / max(1, self.task.integrand.evaluations - before)
@@ -158,7 +159,7 @@ class Rounds:
                 asked = self._affordable(list(asked), asked, (self.task.deadline - now) / rate) or {
                     index: Asked(self._least(each.jumps), each.jumps) for index, each in asked.items()
                 }
-                if now > self.task.deadline:
+                if self.task.late:
                     return "seconds"
 
     def _glance(self) -> None:
@@ -166,9 +167,9 @@ class Rounds:
         first, spp = self.estimator.glance(self.task), max(1, min(_GLANCE, self.spp // _GLANCE_SHARE))
         if first is None or self.spp < spp + self.estimator.fewest:
             return
-        look, deadline = first.round(self.task, spp, 0), self.task.deadline
+        look = first.round(self.task, spp, 0)
         for cell in self.task.screen.cells(*first.cell(self.task, spp, True)):
-            if deadline is not None and time.perf_counter() > deadline:
+            if self.task.late:
                 return
             new = look.estimate(cell)
             if self._picture is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -49,6 +50,11 @@ class Task:
         if fact not in self._known:
             self._known[fact] = fact(self)
         return self._known[fact]
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return self.deadline is not None and time.perf_counter() > self.deadline
 
     @property
     def followed(self) -> Followed | None:

@@ -95,7 +95,8 @@ def at_places(filter: Filter, grad: Tensor, col: Tensor, row: Tensor) -> Tensor:
 
     grad: (C, H, W); col, row: float64 (N,) in screen pixels; pixels beyond the screen have a gradient of 0.
     """
-    reach, beyond = reach_of(filter), 2 * reach_of(filter) + 1
+    reach = reach_of(filter)
+    beyond = 2 * reach + 1
     padded = torch.nn.functional.pad(grad.to(torch.float64), (beyond,) * 4)
     height, width = padded.shape[1:]
     offsets = torch.arange(-reach, reach + 1, device=col.device)[:, None]

@@ -153,9 +153,9 @@ class _Probe(Watch):
         depends, name = 0, getattr(func, "__name__", "")
         # of x.new_tensor(3.0) and torch.full_like(x, 3.0) nothing but the type and the shape are x's
         made = name.startswith("new_") or name.endswith("_like")
-        for number, tensor in enumerate(given):
+        for place, tensor in enumerate(given):
             origin = self._origin(tensor, name_of(func))
-            depends |= 0 if made and number == 0 else origin
+            depends |= 0 if made and place == 0 else origin
         if stranger and in_place(func) and name != "requires_grad_":
             self.problems.append(
                 f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one (statistics of a "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -158,7 +157,7 @@ class Counted:
 
     def check(self, count: int) -> None:
         """Raises Spent if fewer evaluations are left, or no time."""
-        if count > self.left - self.kept or (self.task.deadline is not None and time.perf_counter() > self.task.deadline):
+        if count > self.left - self.kept or self.task.late:
             raise Spent
 
     def _spend(self, count: int) -> None:

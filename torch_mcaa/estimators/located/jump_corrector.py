@@ -77,8 +77,8 @@ class Corrector:
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = shape_of(ask.cell)
         self.most_steps = steps
-        # of lines that lie alike about the sides of a box in both shifts as many would err alike
-        self.again = base.count if ask.task.once(sides) is None else base.count + 2
+        # what a second shift has more: as many lines that lie alike about the sides of a box would err alike
+        self.unlike = 0 if ask.task.once(sides) is None else 2
         # where there are pieces that had to be left to sampling, and what it would have taken not to
         self.missed = torch.zeros_like(allowed), 0.0
 
@@ -132,7 +132,7 @@ class Corrector:
             return unknown
         lost = self.work.thin.lost
         try:
-            second = self.work.shift(self.again, 1, first.pixels.plane(known), first)
+            second = self.work.shift(self.base.count + self.unlike, 1, first.pixels.plane(known), first)
         except Spent:
             return unknown
         # a shift that lost thin pieces tells nothing of one that has them
@@ -152,7 +152,8 @@ class Corrector:
         # with thin pieces that could not be followed samples do as well as lines that miss them
         whole = by_block(self.work.thin.lost, self.cell) == 0
         core = first.pixels.plane(first.core)
-        cost = _AGAIN * self.again / self.base.count * spent + self.again * by_block(dilated(core, 2), self.cell)
+        count = self.base.count + self.unlike
+        cost = _AGAIN * count / self.base.count * spent + count * by_block(dilated(core, 2), self.cell)
         order = torch.argsort(cost)
         known = torch.zeros_like(cost, dtype=torch.bool)
         known[order] = (cost * whole)[order].cumsum(0) <= self.ask.left
@@ -167,8 +168,8 @@ class Corrector:
 
         What the variance of samples falls with: their number to the power 1.5, as on edges.
         """
-        if self.ask.task.once(sides) is not None:
-            # lines that lie alike about the sides of a box err alike in both shifts
+        if self.unlike:
+            # the errors of two midpoint rules have one sign where f is smooth along the sides: they differ by less than either
             return first
         pixels = first.pixels
         alone = (first.plain - pixels.of(second.pixels, second.plain, 0.0)).square() / 2
@@ -213,7 +214,7 @@ class Corrector:
             self.work.finest = _finest(STEPS[0])
             try:
                 third = self.work.shift(count, 2 + 2 * level, chosen)
-                fourth = self.work.shift(count + self.again - self.base.count, 3 + 2 * level, chosen, third)
+                fourth = self.work.shift(count + self.unlike, 3 + 2 * level, chosen, third)
             except Spent:
                 break
             core = replace(third, core=third.core & fourth.core)
