@@ -60,6 +60,21 @@ def test_a_ramp_that_no_sample_meets_is_said_with_its_place(ramp: Ramp, steepnes
     assert math.hypot(float(place[1]) - 16, float(place[2]) - 16) == pytest.approx(10.3, abs=2e-3)
 
 
+def test_ramps_beside_stronger_texture_and_in_another_channel_are_said() -> None:
+    """Texture that changes by three times as much in a pixel, or by ten times, in the other channel."""
+    ramp = disc(torch.sigmoid, 1e6)
+
+    def textured(x: Tensor, y: Tensor) -> Tensor:
+        return ramp(x, y) + 3 * torch.sin(0.8 * x) * torch.cos(0.9 * y)
+
+    def other(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        return 10 * torch.sin(0.8 * x) * torch.cos(0.9 * y), ramp(x, y)
+
+    for f in (textured, other):
+        (message,) = said(f)
+        assert "f changes by 0.7 within" in message
+
+
 @pytest.mark.parametrize("steepness", [1e5, 1e13])
 @pytest.mark.parametrize("ramp", RAMPS.values(), ids=RAMPS)
 def test_the_report_has_it_too(ramp: Ramp, steepness: float) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -183,12 +185,31 @@ def test_edges_of_different_tensors_on_one_another_are_said() -> None:
     def f(x: Tensor, y: Tensor) -> list[Tensor]:
         return [disc(torch.tensor(4.0), x - shift, y) for shift in shifts]
 
-    met = elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64)
-    assert len(met.problems) >= 1 and "start them apart" in met.problems[0] and __file__ in met.problems[0]
+    met = elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64, inputs=shifts)
+    assert len(met.problems) == 1 and "pixel apart" in met.problems[0] and met.problems[0].count(__file__) == 2
     with torch.no_grad():
         for k, shift in enumerate(shifts):
             shift += 0.01 * k
-    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64).problems == ()
+    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64, inputs=shifts).problems == ()
+
+
+def by_numbers(x: Tensor, y: Tensor, shift: Tensor) -> list[Tensor]:
+    return [disc(torch.tensor(4.0), x - number, y) for number in shift]
+
+
+def by_lanes(x: Tensor, y: Tensor, shift: Tensor) -> Tensor:
+    return disc(torch.tensor(4.0), x - shift[:, None], y)
+
+
+@pytest.mark.parametrize("f", [by_numbers, by_lanes])
+def test_edges_of_numbers_of_one_tensor_on_one_another_are_said(f: Callable[..., Any]) -> None:
+    """The same with the shifts in one tensor, and by one comparison."""
+    for start, said in (([0.0, 0, 0], True), ([0.0, 0.01, 0.02], False)):
+        shift = torch.tensor(start, dtype=torch.float64, requires_grad=True)
+        met = elements(lambda x, y, s=shift: f(x, y, s), SCREEN, CELL, FILTER, 2, dtype=torch.float64, inputs=[shift])
+        assert bool(met.problems) == said
+        if said:
+            assert __file__ in met.problems[0] and "other numbers move it" in met.problems[0]
 
 
 def test_edges_that_belong_together_are_not_said() -> None:
@@ -200,7 +221,21 @@ def test_edges_that_belong_together_are_not_said() -> None:
         again = torch.hypot(x - 6.1, y - 5.8) < radius
         return torch.where(again, height, 0.0) * inside + ((inside * height > 0.5) & (x > 6 * height))
 
-    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64).problems == ()
+    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64, inputs=[radius, height]).problems == ()
+
+
+def test_decisions_that_always_come_together_are_not_said() -> None:
+    """Two ways to ask for one edge, two lanes of a sort, and sides of a polygon that meet in corners, all by numbers of one tensor."""
+    numbers = torch.tensor([6.1, 5.8, 3.3, 0.4], dtype=torch.float64, requires_grad=True)
+
+    def f(x: Tensor, y: Tensor) -> list[Tensor]:
+        radius = torch.hypot(x - numbers[0], y - numbers[1])
+        first = (radius < numbers[2]).double() + ((x - numbers[0]) ** 2 + (y - numbers[1]) ** 2 < numbers[2] ** 2)
+        ordered = torch.stack([radius, 0.5 * (x + y), numbers[3] * x + y]).argsort(0).double()
+        sides = torch.stack([x - numbers[2], y - numbers[2], 9.3 - x, numbers[0] + 3 - y])
+        return [first, ordered[0] + 2 * ordered[1], (sides > 0).all(0).double()]
+
+    assert elements(f, SCREEN, CELL, FILTER, 2, dtype=torch.float64, inputs=[numbers]).problems == ()
 
 
 def test_a_moving_decision_that_jumps_at_a_fixed_edge_has_no_part() -> None:

@@ -55,6 +55,7 @@ class OfJumps:
                 dtype=task.dtype,
                 device=task.device,
                 tally=self._counted,
+                inputs=self.inputs.stand_ins,
             )
             problems |= dict.fromkeys(met.problems)
             if not len(met):
@@ -65,7 +66,7 @@ class OfJumps:
                 check_reached([term], self.inputs)
                 yield derivatives((term,), self.inputs.stand_ins)
         for problem in problems:
-            warn(f"{problem}; its part of the gradient is left out")
+            warn(problem)
 
     def _counted(self, col: Tensor, row: Tensor) -> None:
         self.evaluations += len(col)

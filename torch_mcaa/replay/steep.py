@@ -14,11 +14,11 @@ from torch import Tensor
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.audit import NARROW, STEPS
-from torch_mcaa.traced.pieces import Pieces, pieces
+from torch_mcaa.traced.pieces import HALVED, Pieces, pieces
 from torch_mcaa.traced.program import Program
 from torch_mcaa.traced.visitors import Signatures
 
-_FEWEST, _LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 8, 1 << 15, 64, 8
+_FEWEST, _LOOKED, _FOLLOWED, _DIFFERENTIATED = 1 << 8, 1 << 14, 64, 8
 _SPIKE = 16
 """A derivative that is so many times what it is on either side."""
 
@@ -27,22 +27,24 @@ def steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
     """A sentence about a place where f changes as by a jump, no decision is seen, and one of the tensors moves that; empty if none is found."""
     screen = task.screen
     asked = Asked(task.integrand.function, screen, program.all_moving(), task.dtype, task.device, None)
-    found = pieces(asked, task.seed, max(_FEWEST, min(_LOOKED, screen.width * screen.height // 2)), _FOLLOWED)
-    for _ in range(NARROW):
+    found = pieces(asked, task.seed, max(_FEWEST, min(_LOOKED, screen.width * screen.height // 4)), _FOLLOWED)
+    for _ in range(NARROW - HALVED):
         if found is None or not len(found):
             return ""
         found = found.halved(asked, 1)
-        found = found.take(found.size > found.change / 2)
+        found = found.take(found.left() > 0.5)
     assert found is not None
+    found = found.take(found.stands_out())
     last = found.halved(asked, STEPS - NARROW)
-    sheer = last.size > last.change / 2
+    sheer = last.left() > 0.5
     for k, place in enumerate(sheer.tolist()[:_DIFFERENTIATED]):
         one = last.take(torch.tensor([k], device=task.device))
         if place or _moves(asked, one, tensors):
             at = one.at(one.high)
             col, row, x, y = (float(t) for t in (*at, screen.x_of(at[0]), screen.y_of(at[1])))
+            jump = float(one.change[one.channel(one.change), 0])
             return (
-                f"f changes by {float(one.change):.3g} within 1/{2**NARROW} px at column {col:.3f}, row {row:.3f} (x = {x:.6g}, "
+                f"f changes by {jump:.3g} within 1/{2**NARROW} px at column {col:.3f}, row {row:.3f} (x = {x:.6g}, "
                 f"y = {y:.6g}), where it is not seen to decide: next to no sample meets that, so that the gradient of what moves it is "
                 "missing, or noise; let f decide, as by g > 0 in the place of a ramp across g = 0, or say where it jumps by level_set(g)"
             )
@@ -55,7 +57,7 @@ def _moves(asked: Asked, piece: Pieces, tensors: Sequence[Tensor]) -> bool:
     col, row = piece.at(share)
     with torch.enable_grad():
         values, _ = asked.run(col.flatten(), row.flatten(), lambda: Signatures(asked.device))
-        channel = int((piece.after - piece.before).abs().argmax(0))
+        channel = int(piece.channel(piece.change))
         if not values.requires_grad:
             return False
         slopes = [torch.autograd.grad(value, tensors, retain_graph=True, allow_unused=True) for value in values[channel]]

@@ -14,16 +14,16 @@ from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.boundary import elements
-from torch_mcaa.traced.pieces import Pieces, pieces
+from torch_mcaa.traced.pieces import HALVED, Pieces, pieces
 from torch_mcaa.traced.program import Program, probe
 
 STEPS, PART = 36, 1e-3
-"""What is no jump, in changes over the whole piece: of a slope 2^-36 is left, or what float32 rounds to."""
+"""What is no jump, in changes over a piece: of a bend 2^-30 is left, or what float32 rounds to."""
 NARROW = 12
 """Halvings of a piece of 1 px, after which a ramp with more than half of its change left is met by next to no sample: of an edge of 100 px by less
 than one of 16 a pixel."""
 _TOUCHED = 0.05
-"""Of the largest change along a piece: less is the foot of a wider ramp, which the piece ends in."""
+"""Of the largest jump: less is the foot of a wider ramp, at which a piece ends."""
 _CELL = 64
 _MOST = 1 << 16
 """Segments looked at."""
@@ -154,7 +154,7 @@ def untraced(
     looked: int,
     followed: int,
 ) -> tuple[tuple[Jump, ...], tuple[Jump, ...], tuple[int, int], bool]:
-    """The jumps, and the narrow ramps, on `looked` random pieces of lines of up to 1 px, of which the `followed` that change most are bisected.
+    """The jumps, and the narrow ramps, on `looked` random pieces of lines of up to 1 px, of which the `followed` sharpest are bisected.
 
     A piece counts only while its ends, and all places asked between them, have one signature. With the jumps come the numbers of pieces
     that were looked at and followed, and whether f is random.
@@ -163,18 +163,19 @@ def untraced(
     some = pieces(asked, seed, looked, followed)
     if some is None:
         return (), (), (looked, 0), True
-    part = some.halved(asked, NARROW)
+    part = some.halved(asked, NARROW - HALVED)
     left = part.halved(asked, STEPS - NARROW)
-    least = _TOUCHED * some.change.amax() if len(some) else 0.0
-    narrow = part.take((part.size > part.change / 2) & (part.change > least))
+    least = _TOUCHED * some.size().amax() if len(some) else 0.0
+    narrow = part.take((part.left() > 0.5) & part.stands_out() & (part.size() > least))
     ends = narrow.halved(asked, STEPS - NARROW)
-    kinds = left.take(left.size > PART * left.change), ends.take(ends.size <= PART * ends.change)
-    jumps, ramps = (_largest(screen, kind, kind.size if number == 0 else kind.change) for number, kind in enumerate(kinds))
+    jump, ramp = left.take((left.left() > PART) & left.stands_out()), ends.take(ends.left() <= PART)
+    jumps, ramps = _largest(screen, jump, jump.jump), _largest(screen, ramp, ramp.change)
     return jumps, ramps, (looked, len(some)), False
 
 
-def _largest(screen: Screen, some: Pieces, size: Tensor) -> tuple[Jump, ...]:
-    """Where the parts lie, the largest of `size` (N,) first."""
+def _largest(screen: Screen, some: Pieces, jumps: Tensor) -> tuple[Jump, ...]:
+    """Where the parts lie, with their jumps (C, N) in the channel where they are sharpest, the largest first."""
     cols, rows = some.at(some.high)
+    size = jumps.gather(0, some.channel(jumps)[None])[0]
     planes = (cols, rows, screen.x_of(cols), screen.y_of(rows), size)
     return tuple(Jump(*(float(plane[k]) for plane in planes)) for k in torch.argsort(size, descending=True).tolist())

@@ -10,8 +10,9 @@ n |n_x| dl by those along x, n |n_y| dl by those along y.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -24,6 +25,7 @@ from torch_mcaa.traced.once import zero_with_gradient
 from torch_mcaa.traced.program import Program, probe
 from torch_mcaa.traced.refine import Changes, chosen, refined
 from torch_mcaa.traced.scan import scan, share
+from torch_mcaa.traced.shared import shared
 from torch_mcaa.traced.visitors import Margins
 
 LINES = 3
@@ -32,11 +34,13 @@ _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
 """At least so many segments, and four a pixel, are followed."""
-_SEVERAL, _PART = 8, 0.05
 _SOME = 1 << 13
 """Segments that are followed together."""
-_FLAT_MARGIN = "decides by something that has no derivative by x and y (detached, or computed where no gradient follows)"
-_LEAP = "decides by something that jumps there, before any decision that the trace saw"
+_FLAT_MARGIN = (
+    "decides by something that has no derivative by x and y (detached, or computed where no gradient follows); its part of the gradient is "
+    "left out"
+)
+_LEAP = "decides by something that jumps there, before any decision that the trace saw; its part of the gradient is left out"
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ class Elements:
         cause: (N,) int64, the number of the decision whose margin crosses zero; branch: (N, 3) its lane and the codes on either side.
         at: (2, N) float64 column and row, in the same bracket, where the margin is to be differentiated.
         program: f's decisions; precision: the dtype in which f was asked.
-        problems: sentences about elements that had to be left out, each with a line of the user's code.
+        problems: sentences about elements that had to be left out, or count for another edge too, each with a line of the user's code.
     """
 
     col: Tensor
@@ -84,6 +88,7 @@ def elements(
     dtype: torch.dtype = torch.float32,
     device: torch.device | None = None,
     tally: Tally | None = None,
+    inputs: Sequence[Tensor] = (),
 ) -> Elements:
     """The edge elements of one cell.
 
@@ -97,6 +102,7 @@ def elements(
         fixed: meet the edges too that depend on no tensor that wants a gradient. Where all are such, f is not asked otherwise.
         dtype: the picture's; f is asked in float64, or in this where it refuses.
         tally: told of every place that f is asked at.
+        inputs: what is to be differentiated by: of edges that lie on one another and that these move apart it is said.
 
     Raises:
         McaaError: f breaks its contract, or takes other decisions in one call than in another.
@@ -118,28 +124,13 @@ def elements(
     found = chosen(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
     # what is known of a change while it is looked for is five times as much as of an element
     parts = [_weighed(refined(asked, part, most, seed), lines) for part in found.by_lines(_SOME)]
-    jump, at = (torch.cat([part[k] for part in parts], 1) for k in (2, 6))
-    col, row, weight, cause, branch, flat, leap, rival = (torch.cat([part[k] for part in parts]) for k in (0, 1, 3, 4, 5, 7, 8, 9))
+    jump, at, rival = (torch.cat([part[k] for part in parts], 1) for k in (2, 6, 9))
+    col, row, weight, cause, branch, flat, leap = (torch.cat([part[k] for part in parts]) for k in (0, 1, 3, 4, 5, 7, 8))
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
     problems += [f"{program.sites[k].where}: {program.sites[k].name} {_LEAP}" for k in leap.unique().tolist()]
-    if not fixed:
-        problems += _shared(program, cause, rival)
+    if inputs:
+        problems += shared(asked, at, cause, branch, rival, inputs)
     return Elements(col, row, jump, weight, cause, branch, at, program, asked.precision, tuple(problems))
-
-
-def _shared(program: Program, cause: Tensor, rival: Tensor) -> list[str]:
-    """Of edges of two decisions, moved by different tensors, that lie on one another: as at the crossing of two edges, only everywhere."""
-    said = []
-    for first in cause[rival >= 0].unique().tolist():
-        own = rival[cause == first]
-        for second in own[own >= 0].unique().tolist():
-            if int((own == second).sum()) > max(_SEVERAL, _PART * len(own)):
-                one, other = program.sites[first], program.sites[second]
-                said.append(
-                    f"{other.where}: {other.name} has its edge where {one.name} ({one.where}) has one, whose tensors get the gradient of "
-                    "both: start them apart"
-                )
-    return said
 
 
 def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tuple[int, int]:
@@ -185,7 +176,7 @@ def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
         at[:, some],
         changes.cause[flat],
         changes.cause[leap],
-        changes.rival[some],
+        changes.rival[:, some],
     )
 
 
@@ -198,13 +189,9 @@ def margins(function: Function, screen: Screen, elements: Elements) -> Tensor:
         part = slice(start, start + asked.at_once)
         cause, branch = elements.cause[part], elements.branch[part]
         with torch.enable_grad():
-            _, seen = asked.run(elements.at[0, part], elements.at[1, part], _margins(cause, branch))
+            _, seen = asked.run(elements.at[0, part], elements.at[1, part], partial(Margins, cause, branch, True))
         found.append(seen.total)
     return torch.cat(found) if found else elements.col.new_zeros(0)
-
-
-def _margins(cause: Tensor, branch: Tensor) -> Callable[[], Margins]:
-    return lambda: Margins(cause, branch, True)
 
 
 def surrogate(function: Function, screen: Screen, elements: Elements, coefficient: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Random pieces of lines across the screen, and bisection of those along which f changes most though it decides alike."""
+"""Random pieces of lines across the screen, and bisection of those in which f is sharpest though it decides alike."""
 
 from __future__ import annotations
 
@@ -14,16 +14,27 @@ from torch_mcaa.traced.asked import Asked
 _AUDIT = 0xA0D17
 _ROUNDING = 1e-5
 """What is no change, in magnitudes of f."""
+_STANDS_OUT = 0.05
+_STAGES = (4, 16)
+"""Of the pieces, halved twice, one in so many, the sharpest, are halved twice more."""
+HALVED = 2 + 2 * len(_STAGES)
+"""How often `pieces` have been halved."""
+_TOGETHER = 1 << 12
+"""Pieces that are looked at together."""
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """Parts of pieces of lines of up to 1 px between whose ends f decides alike, N of them, those first along which f changed most.
+    """Parts of pieces of lines of up to 1 px at whose ends and middle f decides alike, N of them.
+
+    By second differences: across a jump that of f is the jump, however steep f is beside it, and of what is smooth a quarter is left in a half.
 
     Attributes:
         col, row: (N,) float64 screen pixels where the pieces begin; over, down: (N,) what they span, one of them 0.
-        low, high: (N,) the part that is left, in parts of the piece; before, after: (C, N) f there.
-        signature: (N,); change: (N,) the largest that was seen of f, in any channel, along the whole piece or a part.
+        low, high: (N,) the part that is left, in parts of the piece; values: (3, C, N) f at its ends, the middle between.
+        signature: (N,); change: (C, N) the largest `jump` that was seen of the piece or a part, since `pieces` found it;
+            across: (C, N) what f changes by along the whole piece.
+        range: (C,) of f over the screen.
     """
 
     col: Tensor
@@ -32,18 +43,39 @@ class Pieces:
     down: Tensor
     low: Tensor
     high: Tensor
-    before: Tensor
-    after: Tensor
+    values: Tensor
     signature: Tensor
     change: Tensor
+    across: Tensor
+    range: Tensor
 
     def __len__(self) -> int:
         return len(self.col)
 
     @property
-    def size(self) -> Tensor:
-        """(N,): what f changes by along the part that is left."""
-        return (self.after - self.before).abs().amax(0)
+    def jump(self) -> Tensor:
+        """(C, N): the second difference of f."""
+        before, middle, after = self.values
+        return (before - 2 * middle + after).abs()
+
+    def size(self, jumps: Tensor | None = None) -> Tensor:
+        """(N,): the largest of a channel's `jump`, or of others like it (C, N), in ranges of that."""
+        return self._relative(self.jump if jumps is None else jumps).amax(0)
+
+    def channel(self, jumps: Tensor) -> Tensor:
+        """(N,): the channel of which the jump (C, N) is largest in ranges of that."""
+        return self._relative(jumps).argmax(0)
+
+    def stands_out(self) -> Tensor:
+        """bool (N,): where a jump is no rounding, and not the foot of a wider ramp."""
+        return (self.jump > _STANDS_OUT * self.across).any(0)
+
+    def _relative(self, jumps: Tensor) -> Tensor:
+        return jumps / self.range[:, None]
+
+    def left(self) -> Tensor:
+        """(N,): the parts of what `change` was that are left in the channels' sharpest."""
+        return self.size() / self.size(self.change)
 
     def at(self, share: Tensor) -> tuple[Tensor, Tensor]:
         """Columns and rows at a share (..., N) of each piece."""
@@ -52,41 +84,77 @@ class Pieces:
     def take(self, index: Tensor) -> Pieces:
         """Those at `index`, integers or bool."""
         index = numbers(index)
-        return Pieces(*(pick(getattr(self, name), index) for name in self.__dataclass_fields__))
+        fields = (name for name in self.__dataclass_fields__ if name != "range")
+        return replace(self, **{name: pick(getattr(self, name), index) for name in fields})
 
     def halved(self, asked: Asked, steps: int) -> Pieces:
-        """The half along which f changes most of the half ..., of those where f decides alike at all places asked."""
+        """The sharper half of the half ..., of those where f decides alike at all places asked."""
         kept = self
         for _ in range(steps):
-            half = (kept.low + kept.high) / 2
-            there, signature = asked.values(*kept.at(half))
-            left = (there - kept.before).abs().amax(0) >= (kept.after - there).abs().amax(0)
-            part = replace(
-                kept,
-                low=torch.where(left, kept.low, half),
-                high=torch.where(left, half, kept.high),
-                before=torch.where(left, kept.before, there),
-                after=torch.where(left, there, kept.after),
+            middle = (kept.low + kept.high) / 2
+            before, there, after = kept.values
+            places = kept.at(torch.stack([(kept.low + middle) / 2, (middle + kept.high) / 2]))
+            asked_for, signature = asked.values(*(place.flatten() for place in places))
+            first, second = asked_for.unflatten(1, (2, -1)).unbind(1)
+            halves = (
+                replace(kept, high=middle, values=torch.stack([before, first, there])),
+                replace(kept, low=middle, values=torch.stack([there, second, after])),
             )
-            kept = replace(part, change=torch.maximum(part.change, part.size)).take(signature == kept.signature)
+            left = halves[0].size() >= halves[1].size()
+            low, high, values = (torch.where(left, *(getattr(half, name) for half in halves)) for name in ("low", "high", "values"))
+            kept = replace(kept, low=low, high=high, values=values)
+            kept = replace(kept, change=torch.maximum(kept.change, kept.jump))
+            kept = kept.take((signature.unflatten(0, (2, -1)) == kept.signature).all(0))
         return kept
 
 
 def pieces(asked: Asked, seed: int, looked: int, followed: int) -> Pieces | None:
-    """The `followed` of `looked` random pieces along which f changes most; None if f gave two values for one point."""
-    screen, device = asked.screen, asked.device
-    index = torch.arange(looked, device=device)
+    """The `followed` of `looked` random pieces in which f is sharpest, `HALVED` times; None if f gave two values for one point."""
+    parts: list[Pieces] = []
+    for index in torch.arange(looked, device=asked.device).split(_TOGETHER):
+        part = _begun(asked, seed, index)
+        if not parts:
+            values, _ = asked.values(*(place[:16] for place in part.at(part.low)))
+            if not torch.equal(values, part.values[0, :, :16]):
+                return None
+        part = part.halved(asked, 2)
+        parts.append(part.take(_sharpest(part, max(followed, len(index) // _STAGES[0]))))
+    found = _joined(parts)
+    for share in _STAGES[1:]:
+        found = found.halved(asked, 2)
+        found = found.take(_sharpest(found, max(followed, looked // share)))
+    found = found.halved(asked, 2)
+    if len(found):
+        found = found.take((found.jump > _ROUNDING * found.values.abs().amax((0, 2))[:, None]).any(0))
+    found = found.take(_sharpest(found, followed))
+    return replace(found, change=found.jump)
+
+
+def _begun(asked: Asked, seed: int, index: Tensor) -> Pieces:
+    """Whole pieces, those of some numbers (N,), where f decides alike in the middle and at the ends."""
+    screen = asked.screen
     across, along, axis = (rng.uniform(seed, _AUDIT, k, index, dtype=torch.float64) for k in range(3))
     flat = (axis < 0.5).to(torch.float64)
     over, down = flat * min(1, screen.width / 2), (1 - flat) * min(1, screen.height / 2)
     col, row = torch.minimum(across * screen.width, screen.width - over), torch.minimum(along * screen.height, screen.height - down)
-    before, first = asked.values(col, row)
-    again, _ = asked.values(col[:16], row[:16])
-    if not torch.equal(again, before[:, :16]):
-        return None
-    after, last = asked.values(col + over, row + down)
-    size = (after - before).abs().amax(0)
-    noticed = size.masked_fill((first != last) | (size <= _ROUNDING * before.abs().amax()), 0)
-    number = torch.argsort(noticed, descending=True)[: min(followed, int(noticed.count_nonzero()))]
-    whole = Pieces(col, row, over, down, torch.zeros_like(col), torch.ones_like(col), before, after, first, noticed)
-    return whole.take(number)
+    (before, first), (middle, between), (after, last) = (
+        asked.values(col + share * over, row + share * down) for share in (0, 0.5, 1)
+    )
+    values = torch.stack([before, middle, after])
+    span = values.amax((0, 2)) - values.amin((0, 2))
+    whole = Pieces(
+        *(col, row, over, down, torch.zeros_like(col), torch.ones_like(col)),
+        *(values, first, torch.zeros_like(before), (after - before).abs(), torch.where(span > 0, span, 1)),
+    )
+    return whole.take((first == between) & (between == last))
+
+
+def _joined(parts: list[Pieces]) -> Pieces:
+    whole = {
+        name: torch.cat([getattr(part, name) for part in parts], -1) for name in Pieces.__dataclass_fields__ if name != "range"
+    }
+    return Pieces(**whole, range=torch.stack([part.range for part in parts]).amax(0))
+
+
+def _sharpest(found: Pieces, count: int) -> Tensor:
+    return torch.argsort(found.size(), descending=True)[:count]

@@ -40,7 +40,7 @@ class Changes:
         signatures: (2, N) at the low and at the high end; values: (C, 2, N) float64, f there.
         cause, branch: (N,) and (N, 3), as in `Causes`, with margin: (2, N) at the ends.
         slope: (2, 2, N) the margins' derivatives by column and row (first index) at the ends.
-        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order; rival: (N,), as in `Causes`.
+        behind: (N,) bool, whether an edge that does not move is there too, and before it in f's order; rival: (4, N), as in `Causes`.
     """
 
     brackets: Brackets
@@ -227,7 +227,7 @@ def _examined(asked: Asked, brackets: Brackets, sloped: bool = True) -> Changes:
                 none(2, 0),
                 none(2, 2, 0),
                 whole(0) > 0,
-                whole(0),
+                whole(4, 0),
             )
         with torch.set_grad_enabled(sloped):
             col, row = (t.flatten().requires_grad_(sloped) for t in part.places(torch.stack([part.low, part.high])))
@@ -256,7 +256,7 @@ def _foreseen(asked: Asked, brackets: Brackets, cause: Tensor, branch: Tensor) -
         t.unflatten(-1, (2, len(brackets))) for t in _at(asked, col, row, cause.repeat(2), branch.repeat(2, 1))
     )
     none = col.new_zeros(2, 2, len(brackets))
-    return Changes(brackets, signatures, values, cause, branch, margin, none, none[0, 0] > 0, torch.full_like(cause, -1))
+    return Changes(brackets, signatures, values, cause, branch, margin, none, none[0, 0] > 0, cause.new_full((4, len(cause)), -1))
 
 
 def _slopes(total: Tensor | None, col: Tensor, row: Tensor) -> Tensor:

@@ -60,7 +60,8 @@ class Causes(Signatures):
         margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
         differing: (n,) int64, a bit for each decision that differs; number `MANY` and all after it have one bit.
         behind: (n,) bool, if `sloped`: one that does not move differs before it, so that its margin may jump.
-        rival: (n,) the number of a later one that differs too, does not depend on it, and moves with other tensors; -1 where there is none.
+        rival: (4, n), if `sloped`: the number of one that differs too, in another lane or later and not depending on the cause, and its
+            branch; -1 where there is none.
     """
 
     def __init__(self, shape: tuple[int, int], axis: int, sloped: bool, device: torch.device) -> None:
@@ -74,8 +75,8 @@ class Causes(Signatures):
         self.total: Tensor | None = None
         self.differing = torch.zeros_like(self.cause)
         self.behind = torch.zeros(self.pairs, dtype=torch.bool, device=device)
-        self.rival = torch.full_like(self.cause, -1)
-        self._sites: dict[int, Site] = {}
+        self.rival = self.cause.new_full((4, self.pairs), -1)
+        self._met: list[int] = []
 
     def __call__(self, number: int, lanes: Lanes, site: Site) -> None:
         if not (site.moves or self.sloped):
@@ -91,31 +92,43 @@ class Causes(Signatures):
         if site.moves and len(new):
             self.differing[new] |= 1 << min(number, MANY)
             if self.sloped:
-                self._rivals(number, site, new)
+                beside = self._beside(number, site, new, differs)
+                # the last lane: a cause is the first
+                lane = differs.shape[1] - 1 - differs[beside].flip(1).to(torch.int8).argmax(1)
+                self.rival[:, beside] = torch.cat([torch.full_like(lane, number)[None], self._branch(codes, beside, lane).T])
         new = new[self.cause[new] < 0]
         if not site.moves:
             self.behind[new] = True
             return
         if len(new) == 0:
             return
-        first = new if self.axis == 0 else new + new // size
-        second = first + (self.shape[1] if self.axis == 0 else 1)
-        lane = differs[new].to(torch.int8).argmax(1)
         self.cause[new] = number
-        branch = self.branch[new] = torch.stack([lane, codes[first, lane].long(), codes[second, lane].long()], 1)
-        margin = lanes.margin(torch.cat([first, second]), branch.repeat(2, 1), self.sloped)
+        branch = self.branch[new] = self._branch(codes, new, differs[new].to(torch.int8).argmax(1))
+        margin = lanes.margin(torch.cat(self._ends(new)), branch.repeat(2, 1), self.sloped)
         self.margin[:, new] = margin.detach().to(torch.float64).view(2, -1)
         if self.sloped:
             # f may run this part of it under no_grad
             with torch.enable_grad():
                 self.total = margin.sum() if self.total is None else self.total + margin.sum()
 
-    def _rivals(self, number: int, site: Site, pairs: Tensor) -> None:
-        others = [k for k, s in self._sites.items() if s.tensors != site.tensors and not site.decisions >> k & 1]
-        self._sites[number] = site
-        if others:
-            found = pairs[torch.isin(self.cause[pairs], torch.tensor(others, device=pairs.device))]
-            self.rival[found] = number
+    def _ends(self, pairs: Tensor) -> tuple[Tensor, Tensor]:
+        """The points of pairs: the first and the second."""
+        first = pairs if self.axis == 0 else pairs + pairs // (self.shape[1] - 1)
+        return first, first + (self.shape[1] if self.axis == 0 else 1)
+
+    def _branch(self, codes: Tensor, pairs: Tensor, lane: Tensor) -> Tensor:
+        """(m, 3): the lanes (m,) and the codes there at both points."""
+        return torch.stack([lane, *(codes[end, lane].long() for end in self._ends(pairs))], 1)
+
+    def _beside(self, number: int, site: Site, pairs: Tensor, differs: Tensor) -> Tensor:
+        """Those of the pairs in which a decision differs that are caused by another, which it does not follow, or by it in two lanes or more."""
+        cause = self.cause[pairs]
+        others = torch.tensor([k for k in self._met if not site.decisions >> k & 1], dtype=torch.int64, device=pairs.device)
+        self._met.append(number)
+        beside = torch.isin(cause, others)
+        if differs.shape[1] > 1:
+            beside |= (cause < 0) & (differs[pairs].sum(1) > 1)
+        return pairs[beside]
 
 
 class Margins(Signatures):
