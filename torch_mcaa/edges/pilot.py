@@ -48,6 +48,7 @@ class Judged:
         tried: int64, how many candidates were looked at.
         crossings: for each axis, the candidates, but for those of thin pieces.
         lines: lines that cross thin pieces, as far as the pieces that samples hit tell: those hits over their probability.
+        told: the share of its candidates in which f is seen to decide.
         sharp: for each axis the jumps that were found, but for those of thin pieces, and the part (N,) that each lies in; on their device.
     """
 
@@ -55,11 +56,13 @@ class Judged:
     tried: Tensor
     crossings: tuple[Tensor, Tensor]
     lines: Tensor
+    told: Tensor
     sharp: tuple[tuple[Crossings, Tensor], ...] = ()
 
     def cpu(self) -> Judged:
         first, second = self.crossings
-        return Judged(self.verdict.cpu(), self.tried.cpu(), (first.cpu(), second.cpu()), self.lines.cpu(), self.sharp)
+        crossings = first.cpu(), second.cpu()
+        return Judged(self.verdict.cpu(), self.tried.cpu(), crossings, self.lines.cpu(), self.told.cpu(), self.sharp)
 
 
 def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most: int, seed: int) -> Judged:
@@ -130,7 +133,7 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
     verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _HELD * shown)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
-    return Judged(verdict, tried, (crossed[0], crossed[1]), lines, sharp)
+    return Judged(verdict, tried, (crossed[0], crossed[1]), lines, torch.zeros_like(lines), sharp)
 
 
 @dataclass(frozen=True)

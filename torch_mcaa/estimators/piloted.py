@@ -21,7 +21,7 @@ from torch_mcaa.estimators.further import poorest_of, sampled_first, sampled_fur
 from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, blocks_of, by_pixel, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent, is_random
-from torch_mcaa.estimators.located.jump_corrector import JUDGED, KEPT
+from torch_mcaa.estimators.located.jump_corrector import JUDGED, KEPT, unlike
 from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.filters import SeparableFilter
@@ -42,8 +42,6 @@ _FEW = 256
 _MARGIN, _RESERVED = 1.2, 0.9
 """What a part whose jumps are located may cost over what is expected where others are sampled plainly, which have what it leaves; and the
 part of their own share that these keep in any case."""
-_MARGINS = 0.75
-"""What a crossing takes that margins locate, in parts of what bisection takes."""
 
 
 class _Seen(NamedTuple):
@@ -116,7 +114,18 @@ class PilotedRound(Round):
         for where, _ in done:
             smooth[blocks_in(cell, where)] = True
         most = None if self.most is None else self.most - -(-seen.taken // pixels)
-        plans = plans_of(cell, judged, texture, ask.left - audits, self.plain, second, most or 0, smooth, self.parts.fewest)
+        plans = plans_of(
+            cell,
+            judged,
+            texture,
+            ask.left - audits,
+            self.plain,
+            second,
+            unlike(self.task),
+            most or 0,
+            smooth,
+            self.parts.fewest,
+        )
         located = [plan for plan in plans if plan.lines]
         plain = [plan for plan in plans if not plan.lines]
         left, expected = ask.left, sum(plan.cost for plan in located)
@@ -192,7 +201,7 @@ class PilotedRound(Round):
             judged.tried.fill_(_SURE)
         jumping = _jumping(cell, judged)
         if codes is not None:
-            judged = _decided(judged, [blocks_of(cell, s.take(s.decided > 0)) for s in found])
+            judged = _decided(judged, torch.cat([blocks_of(cell, s) for s in found]), torch.cat([s.decided > 0 for s in found]))
         samples = values, row, col
         values = values[:, cell.row - row :, cell.col - col :][:, : cell.height, : cell.width]
         counts, done, taken = None, [], 0
@@ -222,20 +231,16 @@ def _jumping(cell: Cell, judged: Judged) -> Tensor:
     return sure | (beside & ((judged.verdict == Verdict.JUMPS) | (judged.verdict == Verdict.NONE)))
 
 
-def _decided(judged: Judged, blocks: list[Tensor]) -> Judged:
-    """Where f is seen to decide there is no doubt that it jumps; `blocks` of the segments along either axis in which it does."""
+def _decided(judged: Judged, blocks: Tensor, decided: Tensor) -> Judged:
+    """Where f is seen to decide there is no doubt that it jumps; `blocks` (S,) of the candidates, of which some are `decided`."""
     verdict = judged.verdict.clone()
-    for block in blocks:
-        verdict[block] = Verdict.JUMPS
-    fewer = [
-        crossed - (1 - _MARGINS) * torch.bincount(block, minlength=len(verdict))
-        for crossed, block in zip(judged.crossings, blocks, strict=True)
-    ]
-    return replace(judged, verdict=verdict, crossings=(fewer[0].clamp_min(0), fewer[1].clamp_min(0)))
+    verdict[blocks[decided]] = Verdict.JUMPS
+    every, told = (torch.bincount(some, minlength=len(verdict)) for some in (blocks, blocks[decided]))
+    return replace(judged, verdict=verdict, told=told / every.clamp_min(1))
 
 
 def _about(cell: Cell, segments: Segments) -> Segments:
-    """Those that begin at most a pixel beyond the cell: the last ones of the samples have no neighbours to be judged by."""
+    """Those that touch the cell: the last ones of the samples have no neighbours to be judged by."""
     row, col = segments.key[:, 1], segments.key[:, 2]
-    inside = (row >= cell.row - 1) & (row <= cell.row + cell.height) & (col >= cell.col - 1) & (col <= cell.col + cell.width)
+    inside = (row >= cell.row - 1) & (row < cell.row + cell.height) & (col >= cell.col - 1) & (col < cell.col + cell.width)
     return segments.take(inside)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.blocks import BLOCK, shape_of, sizes_of
-from torch_mcaa.estimators.located.jump_corrector import STEPS
+from torch_mcaa.estimators.located.jump_corrector import STEPS, crossing
 from torch_mcaa.estimators.located.jump_level import FEWEST_LINES, odd
 from torch_mcaa.estimators.parts import lines_for
 from torch_mcaa.grid import Cell
@@ -29,12 +29,8 @@ _DEAREST = 2.5
 _SPARSE = 0.9
 """The share of the blocks that jump which have to be located if the number of lines is to be as large as can be paid for."""
 _FOLLOWED = 0.5
-_CROSSING, _CROSSING_STEP = -5.0, 2.0
-"""Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket."""
-_DENSE = 3.0
-"""What more a crossing takes where there are many: for each one in a pixel of a line, in parts of what it takes alone."""
 _LINE, _LINE_STEP = 19.0, 4.0
-"""The same for a line across a thin piece."""
+"""Evaluations that a line across a thin piece takes in two shifts: so many, and for each halving of a bracket."""
 _THIN = 0.7
 """The share of what a block's crossings cost from which on it is for thin pieces' sake."""
 
@@ -56,6 +52,7 @@ def plans_of(
     budget: int,
     plain: bool,
     second: int,
+    unlike: int = 0,
     ample: int = 0,
     done: Tensor | None = None,
     fewest: int = FEWEST_LINES,
@@ -65,6 +62,8 @@ def plans_of(
     With fewer halvings of each crossing's bracket where the blocks that jump could not have five lines otherwise, but as many as these leave
     room for. They may have up to `ample` evaluations a pixel if they need them for three lines. Those that would have less than `fewest` lines
     are sampled plainly.
+
+    second: the samples of a second shift for a crossing, of each line; unlike: the lines that it has more.
     """
     pixels = sizes_of(cell)
     spp = budget / float(pixels.sum())
@@ -72,21 +71,30 @@ def plans_of(
     quiet = _quiet(cell, judged.verdict) & ~texture if plain else judged.verdict != Verdict.JUMPS
     share = spp * pixels
     steps = STEPS[0]
-    lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
+
+    def beyond(cost: Tensor) -> Tensor:
+        """What the lines take that a second shift has more, however many the first has."""
+        return unlike / 2 * (cost - pixels)
+
+    def planned(steps: int) -> tuple[Tensor, Tensor]:
+        cost = _cost(steps, judged, pixels, second)
+        return _lines(cost, judged, pixels, quiet, share - beyond(cost), most, plain, ample), cost
+
+    lines, cost = planned(steps)
     for fewer in STEPS[1:]:
         busy = lines[judged.verdict == Verdict.JUMPS]
         if len(busy) == 0 or int(busy.min()) >= min(_ENOUGH_LINES, most):
             break
         steps = fewer
-        lines, cost = _lines(steps, judged, pixels, quiet, share, most, plain, second, ample)
+        lines, cost = planned(steps)
     for more in range(STEPS[0], steps, -1):
-        same, dearer = _lines(more, judged, pixels, quiet, share, most, plain, second, ample)
+        same, dearer = planned(more)
         if torch.equal(same, lines):
             steps, cost = more, dearer
             break
     lines = torch.where(lines < fewest, 0, lines)
     if plain and fewest <= FEWEST_LINES:
-        lines[_thin_too(lines, cost, share, steps, judged, pixels)] = FEWEST_LINES
+        lines[_thin_too(lines, cost, share - beyond(cost), steps, judged, pixels)] = FEWEST_LINES
     labels = (lines if done is None else lines.masked_fill(done, -1)).tolist()
     rectangles, label = cell.rectangles(BLOCK, labels), torch.tensor(labels)
     return [
@@ -94,30 +102,35 @@ def plans_of(
             [part for part, inside in rectangles if labels[inside[0]] == count],
             count,
             steps,
-            float(((cost * count if count else share) * (label == count)).sum()),
+            float(((cost * count + beyond(cost) if count else share) * (label == count)).sum()),
         )
         for count in sorted({*labels} - {-1})
     ]
 
 
+def _cost(steps: int, judged: Judged, pixels: Tensor, second: int) -> Tensor:
+    """(blocks,): the evaluations that each block takes for each line a pixel, were its jumps located in so many halvings."""
+    most = torch.maximum(*judged.crossings)
+    # along an axis that sees little of the edges none are followed
+    followed = sum((seen * (seen > _FOLLOWED * most) for seen in judged.crossings), torch.zeros_like(judged.told))
+    cost = pixels + crossing(steps, judged.told) * followed + second * most + (_LINE + _LINE_STEP * steps) * judged.lines
+    return torch.where(judged.verdict == Verdict.JUMPS, cost, pixels)
+
+
 def _lines(
-    steps: int, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, second: int, ample: int
-) -> tuple[Tensor, Tensor]:
-    """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, and the evaluations for each of them.
+    cost: Tensor, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, ample: int
+) -> Tensor:
+    """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, for what each of them costs.
 
     Blocks without a candidate may hold a thin piece that the pilot missed: they have the most lines, and what they leave of their share
     goes to those that jump. These have all the same number of lines, and if it is not much smaller, so have the others: parts of
     different lattices know nothing of each other's thin pieces. Where that would be too few the dearest blocks are sampled plainly, and
     where these are many the others have three lines: what remains of the error is there.
     """
-    more, fewer = torch.maximum(*judged.crossings), torch.minimum(*judged.crossings)
-    # along an axis that sees little of the edges none are followed
-    crossings = (more + fewer * (fewer > _FOLLOWED * more)) * (1 + _DENSE * more / pixels)
-    cost = pixels + (_CROSSING + _CROSSING_STEP * steps) * crossings + second * more + (_LINE + _LINE_STEP * steps) * judged.lines
     jumps = judged.verdict == Verdict.JUMPS
     if not plain:
-        count = max(FEWEST_LINES, min(most, int(share.sum() / torch.where(jumps, cost, pixels).sum())))
-        return torch.full_like(quiet, odd(count), dtype=torch.int64), torch.where(jumps, cost, pixels)
+        count = max(FEWEST_LINES, min(most, int(share.sum() / cost.sum())))
+        return torch.full_like(quiet, odd(count), dtype=torch.int64)
     share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, FEWEST_LINES / _SAFE * cost)), share)
     dear = FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
     busy = jumps & (FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
@@ -130,10 +143,10 @@ def _lines(
             few = int(busy.sum()) < _SPARSE * int(jumps.sum())
             count = FEWEST_LINES if few else odd(count)
             calm = count if alike and not few else most if bool((busy | quiet).all()) else min(most, _CALM_LINES)
-            return torch.where(busy, count, torch.where(quiet, calm, 0)), cost
+            return torch.where(busy, count, torch.where(quiet, calm, 0))
         # for its size: a block that the screen cuts costs little even where it costs most a pixel
         busy[(cost / pixels * busy).argmax()] = False
-    return torch.where(quiet, most if bool(quiet.all()) else min(most, _CALM_LINES), 0), cost
+    return torch.where(quiet, most if bool(quiet.all()) else min(most, _CALM_LINES), 0)
 
 
 def _thin_too(lines: Tensor, cost: Tensor, share: Tensor, steps: int, judged: Judged, pixels: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
-from torch_mcaa.estimators.base import dilated
+from torch_mcaa.estimators.base import Task, dilated
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_block, by_pixel, shape_of, sizes_of
 from torch_mcaa.estimators.located.corrected import Corrected, beyond, merged
 from torch_mcaa.estimators.located.counted import Counted, Spent
@@ -25,6 +25,8 @@ KEPT = 0.75
 """What is left has to be this much of what there was before blocks are judged, or it is not done: a few pixels cannot pay for it."""
 STEPS = (14, 11, 8)
 """Halvings of a segment of 1 px: the most, fewer for the sake of more lines, and the fewest."""
+_CROSSING, _CROSSING_STEP, _TOLD = -5.0, 2.0, 12.0
+"""Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket; and one that f's margins tell."""
 _AGAIN = 0.75
 """What a second shift takes, in parts of the first's cost."""
 _ENOUGH = 2e-5
@@ -33,6 +35,8 @@ _FINER = (3, 9)
 """How many times as many lines finer lattices have; the second where a tolerance asks for it."""
 _UNCHECKED = 4.0
 """What the crossings of a block may take that no second shift checks, in parts of what its lattice does."""
+_TRUSTED = 16
+"""How many times the variance of the samples has to be that of the corrected pixels, where two shifts tell it, for dearer ones to be used."""
 
 
 class _Twice(NamedTuple):
@@ -77,8 +81,7 @@ class Corrector:
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = shape_of(ask.cell)
         self.most_steps = steps
-        # what a second shift has more: as many lines that lie alike about the sides of a box would err alike
-        self.unlike = 0 if ask.task.once(sides) is None else 2
+        self.unlike = unlike(ask.task)
         # where there are pieces that had to be left to sampling, and what it would have taken not to
         self.missed = torch.zeros_like(allowed), 0.0
 
@@ -126,7 +129,8 @@ class Corrector:
         segments = sum(len(s) for s in found)
         # as large as all that is to come
         del found, part, followed
-        first, known, checked = self._afforded(first, by_block(self.ask.points - before, self.cell))
+        first, known, checked, cheap = self._afforded(first, by_block(self.ask.points - before, self.cell))
+        every, first = first, replace(first, near=first.near & cheap, core=first.core & cheap)
         unknown = Corrected.of(first, first.value, torch.full_like(first.value, torch.nan), torch.zeros_like(first.near))
         if not bool(known.any()):
             return unknown
@@ -142,10 +146,15 @@ class Corrector:
             return unknown
         first = replace(first, core=known)
         value, variance = merged(first, second)
-        return _Twice(self._kept(first, second, variance), value, variance, checked, segments)
+        alone = (first.plain - first.pixels.of(second.pixels, second.plain, 0.0)).square() / 2
+        level = self._kept(first, alone, variance)
+        if float(torch.where(known, alone - _TRUSTED * variance, 0).sum()) > 0:
+            # what is dear and cannot be checked is as good as what was
+            level = replace(level, near=level.near | (every.near & ~cheap))
+        return _Twice(level, value, variance, checked, segments)
 
-    def _afforded(self, first: Level, spent: Tensor) -> tuple[Level, Tensor, Tensor]:
-        """The level without the dear blocks that cannot be checked; of those that can, which took least, the core (P,) and all (h, w).
+    def _afforded(self, first: Level, spent: Tensor) -> tuple[Level, Tensor, Tensor, Tensor]:
+        """The level without lost blocks; of those that can be checked, which took least, the core (P,) and all (h, w); and what is not dear (P,).
 
         spent: (blocks,) what its crossings took.
         """
@@ -160,11 +169,12 @@ class Corrector:
         size = sizes_of(self.cell).to(cost.device)
         known &= whole
         at, checked = (first.pixels.rows, first.pixels.cols), self._spread_out(known)
-        kept = self._spread_out(known | (whole & (spent <= _UNCHECKED * self.base.count * size)))[at]
-        return replace(first, near=first.near & kept, core=first.core & kept), first.core & checked[at], checked
+        cheap = self._spread_out(known | (whole & (spent <= _UNCHECKED * self.base.count * size)))[at]
+        whole = self._spread_out(whole)[at]
+        return replace(first, near=first.near & whole, core=first.core & whole), first.core & checked[at], checked, cheap
 
-    def _kept(self, first: Level, second: Level, variance: Tensor) -> Level:
-        """The level without the blocks whose samples alone would do better with what is left: two shifts tell what either errs.
+    def _kept(self, first: Level, alone: Tensor, variance: Tensor) -> Level:
+        """The level without the blocks whose samples `alone`, by their variance, would do better with what is left.
 
         What the variance of samples falls with: their number to the power 1.5, as on edges.
         """
@@ -172,7 +182,6 @@ class Corrector:
             # the errors of two midpoint rules have one sign where f is smooth along the sides: they differ by less than either
             return first
         pixels = first.pixels
-        alone = (first.plain - pixels.of(second.pixels, second.plain, 0.0)).square() / 2
         worth = (self.base.count / (self.base.count + self.ask.left / max(1, int(self.allowed.count_nonzero())))) ** 1.5
         better = by_block(pixels.plane(torch.where(first.core, worth * alone - variance, 0).sum(0)), self.cell) >= 0
         kept = self._spread_out(better)[pixels.rows, pixels.cols]
@@ -231,20 +240,25 @@ class Corrector:
     def _planned(self, found: list[Segments], wanted: Tensor) -> tuple[Axes, Tensor]:
         """How exactly to bisect, and which blocks, so that two shifts can be paid for: the axes, and the pixels still wanted."""
         axes, seen = self.work.axes(found)
-        counts = torch.zeros(self.blocks[0] * self.blocks[1], dtype=torch.int64, device=wanted.device)
+        counts, told = torch.zeros(2, self.blocks[0] * self.blocks[1], dtype=torch.int64, device=wanted.device)
         reached = torch.zeros_like(wanted)
         for segments, density in zip(found, seen, strict=True):
             used = axes.used(segments.axis, wanted)
-            counts += torch.bincount(blocks_of(self.cell, segments.take(self.work.reaching(segments, used))), minlength=len(counts))
+            some = segments.take(self.work.reaching(segments, used))
+            blocks = blocks_of(self.cell, some)
+            counts += torch.bincount(blocks, minlength=len(counts))
+            told += torch.bincount(blocks[some.decided > 0], minlength=len(told))
             reached |= used & axes.pixels.plane(density > 0)
         rows, cols = reached.nonzero().unbind(1)
         size = torch.bincount(rows // BLOCK * self.blocks[1] + cols // BLOCK, minlength=len(counts))
-        cost = counts
+        cost, second = counts, 1 + self.unlike / (2 * self.base.count)
         for steps in (self.most_steps, *(s for s in STEPS if s < self.most_steps)):
             self.work.finest = _finest(steps)
-            cost = counts * (2 * steps - 6) + self.base.count * size
+            cost = counts * crossing(steps, told / counts.clamp_min(1)) * second + self.base.count * size
             if float(cost.sum()) <= self.ask.left:
                 return axes, wanted
+        # the first of the two at least
+        cost = (cost - self.base.count * size) / (1 + _AGAIN)
         cheap = torch.argsort(cost)
         kept = torch.zeros_like(counts, dtype=torch.bool)
         kept[cheap] = cost[cheap].cumsum(0) <= self.ask.left
@@ -253,6 +267,16 @@ class Corrector:
     def _spread_out(self, by_block: Tensor) -> Tensor:
         """(h, w): what each pixel's block has."""
         return by_pixel(by_block.view(self.blocks), self.cell)
+
+
+def unlike(task: Task) -> int:
+    """How many lines a second shift has more: as many, which lie alike about the sides of a box, would err alike."""
+    return 0 if task.once(sides) is None else 2
+
+
+def crossing(steps: int, told: Tensor) -> Tensor:
+    """The evaluations that a crossing takes in two shifts of as many lines, with so many halvings, or, for a share `told`, from f's margins."""
+    return torch.lerp(torch.full_like(told, _CROSSING + _CROSSING_STEP * steps), torch.full_like(told, _TOLD), told)
 
 
 def _finest(steps: int) -> float:
