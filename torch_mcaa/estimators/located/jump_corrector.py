@@ -25,8 +25,9 @@ KEPT = 0.75
 """What is left has to be this much of what there was before blocks are judged, or it is not done: a few pixels cannot pay for it."""
 STEPS = (14, 11, 8)
 """Halvings of a segment of 1 px: the most, fewer for the sake of more lines, and the fewest."""
-_CROSSING, _CROSSING_STEP, _TOLD = -5.0, 2.0, 12.0
-"""Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket; and one that f's margins tell."""
+_CROSSING, _CROSSING_STEP, _TOLD = -5.0, 2.0, 20.0
+"""Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket; and one that f's margins tell, which was measured to
+take 11 to 13: more lines for it would take more time and memory than the evaluations say."""
 _AGAIN = 0.75
 """What a second shift takes, in parts of the first's cost."""
 _ENOUGH = 2e-5
