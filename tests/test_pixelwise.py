@@ -115,7 +115,7 @@ def test_equal_bits_for_every_number_of_threads(chosen: mcaa.Importance) -> None
     threads = torch.get_num_threads()
     pictures = []
     try:
-        for count in (1, 2):
+        for count in (1, 2, 3):
             torch.set_num_threads(count)
             pictures.append(mcaa.render(DISC, (70, 67), estimator=chosen, spp=32, seed=5))
     finally:

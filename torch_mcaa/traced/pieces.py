@@ -15,6 +15,7 @@ _AUDIT = 0xA0D17
 _ROUNDING = 1e-5
 """What is no change, in magnitudes of f."""
 _STANDS_OUT = 0.05
+"""Of what f changes by along the whole piece, the least of a jump."""
 _STAGES = (4, 16)
 """Of the pieces, halved twice, one in so many, the sharpest, are halved twice more."""
 HALVED = 2 + 2 * len(_STAGES)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torch_mcaa import rng
 from torch_mcaa.traced.asked import Asked
+from torch_mcaa.traced.derivatives import derivatives
 from torch_mcaa.traced.visitors import Margins
 
 _STREAM = 0x5A4ED
@@ -65,7 +66,7 @@ def _apart(asked: Asked, at: Tensor, own: tuple[Tensor, Tensor], other: tuple[Te
     velocities = []
     for total, slope, sign in zip(totals, (one, two), (torch.ones_like(cosine), cosine.sign()), strict=True):
         share = torch.where(along, weight * sign / slope.norm(dim=0), 0.0)
-        found = torch.autograd.grad(total, inputs, share, allow_unused=True)
+        found = derivatives((total,), inputs, (share,))
         velocities.append(
             torch.cat([torch.zeros_like(i).flatten() if g is None else g.flatten() for g, i in zip(found, inputs, strict=True)])
         )
