@@ -235,7 +235,8 @@ def unseen(value: Tensor, spp: float | Tensor) -> Tensor:
     hundredth of a sample's area; one over the number of pixels where they are fewer than a hundred, to bear each other out. A constant
     cell's range is taken as its magnitude, and 1 where that is 0 too. Falls as 1/n^2: a standard error that falls as 1/n.
     """
-    low, high = (extreme[:, None, None] for extreme in torch.aminmax(value.flatten(1), dim=1))
+    # `aminmax` along a dimension takes ten times as long
+    low, high = value.amin((-2, -1), keepdim=True), value.amax((-2, -1), keepdim=True)
     if not bool((low.isfinite() & high.isfinite()).all()):
         low = torch.nan_to_num(value, nan=torch.inf, posinf=torch.inf, neginf=-torch.inf).amin((-2, -1), keepdim=True)
         high = torch.nan_to_num(value, nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf).amax((-2, -1), keepdim=True)
@@ -250,17 +251,14 @@ def unseen(value: Tensor, spp: float | Tensor) -> Tensor:
 def box3(plane: Tensor) -> Tensor:
     """The mean over each pixel's 3 x 3 neighbours inside the cell, of a (C, h, w) tensor."""
     for dim in (-2, -1):
-        size = plane.shape[dim]
-        if size == 1:
-            continue
-        total = torch.empty_like(plane)
-        inner = total.narrow(dim, 1, size - 1)
-        torch.add(plane.narrow(dim, 1, size - 1), plane.narrow(dim, 0, size - 1), out=inner)
-        inner.narrow(dim, 0, size - 2).add_(plane.narrow(dim, 2, size - 2)).mul_(1 / 3)
-        total.narrow(dim, size - 1, 1).mul_(1 / 2)
-        torch.add(plane.narrow(dim, 0, 1), plane.narrow(dim, 1, 1), out=total.narrow(dim, 0, 1)).mul_(1 / 2)
+        size, total = plane.shape[dim], plane.clone()
+        total.narrow(dim, 1, size - 1).add_(plane.narrow(dim, 0, size - 1))
+        total.narrow(dim, 0, size - 1).add_(plane.narrow(dim, 1, size - 1))
+        # the first and the last have a neighbour less
+        for side in {0, size - 1}:
+            total.narrow(dim, side, 1).mul_(1.5 if size > 1 else 3.0)
         plane = total
-    return plane
+    return plane.mul_(1 / 9)
 
 
 def dilated(mask: Tensor, by: int) -> Tensor:

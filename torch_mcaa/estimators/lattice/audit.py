@@ -8,7 +8,7 @@ is the variance. Where it differs up to one time in five, that much of f is take
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -26,16 +26,30 @@ _NOISE, _BLIND = 1 / 5, 2 / 5
 """How often points differ more in noise, and over a tile of all the points where the lattice is blind."""
 
 
-class Seen(NamedTuple):
-    """What the audit tells of a cell, (h, w) each.
+@dataclass(frozen=True)
+class Seen:
+    """What the audit tells of a cell, in tiles: one for each, or a single one for all.
 
     Attributes:
-        blind: the variance of what the lattice does not see, 0 where it resolves f.
-        noise: the part of f that is noise, 0 to 1.
+        blind: (rows, columns) the variance of what the lattice does not see, 0 where it resolves f.
+        noise: (rows, columns) the part of f that is noise, 0 to 1.
+        tall, wide: a tile's size in pixels.
+        window: the cell's pixels among those of the tiles.
     """
 
     blind: Tensor
     noise: Tensor
+    tall: int
+    wide: int
+    window: tuple[slice, slice]
+
+    def by_pixel(self, tiles: Tensor) -> Tensor:
+        """(h, w): what each pixel's tile has; (1, 1) where all have the same."""
+        if tiles.numel() == 1:
+            return tiles
+        rows, cols = tiles.shape
+        repeated = tiles[:, None, :, None].expand(rows, self.tall, cols, self.wide)
+        return repeated.reshape(rows * self.tall, cols * self.wide)[self.window]
 
 
 class Audit:
@@ -80,16 +94,14 @@ class Audit:
             here, there = _shifted(reference, down, right), _shifted(held[plane], -down, -right)
             inner = _shifted(most, down, right)
             torch.maximum(inner, (there - here).square(), out=inner)
-        return self.judged(cell, at, seen, (seen > most).to(seen.dtype))
-
-    def judged(self, cell: Cell, at: Geometry, seen: Tensor, more: Tensor) -> Seen:
-        """The same from the squared differences `seen` and where these are more than the neighbours' (1, else 0), (strips, cols)."""
+        more = (seen > most).to(seen.dtype)
         tall = max(1, min(round(7 / self.strip.period), at.strips))
         wide = min(-(-_POINTS // tall), at.cols)
+        top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
+        window = slice(top, top + cell.height), slice(left, left + cell.width)
         share = tile_means(more, tall, wide)
         if not bool(share.any()):
-            none = seen.new_zeros(()).expand(cell.height, cell.width)
-            return Seen(none, none)
+            return Seen(seen.new_zeros(1, 1), seen.new_zeros(1, 1), tall * self.strip.period, wide, window)
         # tiles that are cut hold fewer points, of which chance decides more
         rows, cols = (
             (size - torch.arange(0, size, step, device=share.device)).clamp_max(step)
@@ -97,15 +109,7 @@ class Audit:
         )
         most = _NOISE + (_BLIND - _NOISE) * (tall * wide / (rows[:, None] * cols)).sqrt()
         power = torch.where(share > most, tile_means(seen, tall, wide) / 2, 0.0)
-        top, left = cell.row - at.strip * self.strip.period, cell.col - at.col
-        return Seen(
-            *(
-                part.repeat_interleave(tall * self.strip.period, 0).repeat_interleave(wide, 1)[
-                    top : top + cell.height, left : left + cell.width
-                ]
-                for part in (power, (share / _NOISE).clamp_max(1))
-            )
-        )
+        return Seen(power, (share / _NOISE).clamp_max(1), tall * self.strip.period, wide, window)
 
 
 def _shifted(plane: Tensor, down: int, right: int) -> Tensor:

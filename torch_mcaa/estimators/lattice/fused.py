@@ -2,8 +2,11 @@
 
 The planes of samples are sorted along y, so that those which reach a row of pixels are a window of the strips' planes one after another.
 Windows of one length begin at equal steps inside a strip, so one loop serves all rows; what they hold beyond a filter's reach weighs 0.
-Of the samples weighed along x those of even and of odd k are kept apart: their sum and their difference are what the value and the
-characters need. Samples, sums and differences are results of the graph, which keeps it from evaluating f again for every pixel.
+The four cosets of the lattice's double are what the value and the three characters are sums of, in four signs: the first character
+alternates from plane to plane, the second from column to column and by plane, the third is their product. So the samples of even and of odd
+k weighed along x are kept as their sum and as their difference in the planes' signs, and even and odd planes of a window are summed apart:
+each sample is weighed along y once.
+Samples, sums and differences are results of the graph, which keeps it from evaluating f again for every pixel.
 """
 
 from __future__ import annotations
@@ -34,14 +37,18 @@ class Weighed:
     Attributes:
         value, power: (C, h, w) the estimate, and the sum of its squared characters.
         norms: (C, strips, planes) of the rows of samples.
-        seen, more: C of (strips, columns), of the audit, as `Audit.judged` takes them; none without one.
+        audited, held: C of f at the audit's points (strips, columns), and of the planes of samples that it needs; none without one.
     """
 
     value: Tensor
     power: Tensor
     norms: Tensor
-    seen: list[Tensor]
-    more: list[Tensor]
+    audited: list[Tensor]
+    held: list[dict[int, Tensor]]
+
+
+_APART = 4
+"""Planes of a window that are weighed before one sum waits for another; even."""
 
 
 class Fused:
@@ -56,7 +63,9 @@ class Fused:
     def __init__(self, weights: LatticeWeights, audit: Audit | None, height: int, width: int) -> None:
         task, strip, self.reach = weights.task, weights.strip, weights.reach
         assert isinstance(task.filter, SeparableFilter)
-        self.task, self.strip, self.audit, self.width = task, strip, audit, width
+        self.task, self.strip, self.audit = task, strip, audit
+        # a window goes down a column: where rows lie a multiple of many cache lines apart, few of its samples fit into the cache
+        self.width = width = (-(-width // 8) | 1) * 8
         self.order = np.argsort(strip.y)
         self.place = np.argsort(self.order)
         period, count = strip.period, strip.count
@@ -73,23 +82,21 @@ class Fused:
         self.strips = blocks + 2 * self.lead
         along_x = weights.along_x[0][:, torch.from_numpy(self.order)]
         odd = torch.arange(-self.reach, self.reach + 1)[:, None] % 2
-        sums = [s.repeat(len(around)) for s in (along_x.sum(0), (along_x * (1 - 2 * odd)).sum(0))]
+        signs = torch.from_numpy(strip.characters[1, self.order]).to(torch.float64)
+        # (2, planes) what the weighed samples of f = 1 are
+        sums = torch.stack([along_x.sum(0), (along_x * (1 - 2 * odd)).sum(0) * signs]).repeat(1, len(around))
         weight = weight / (weight @ sums[0])[:, None]
-        characters = torch.from_numpy(strip.characters[:, self.order]).to(torch.float64)
-        turns = torch.stack([1.0 - 2.0 * b * (around % 2) for _, b in strip.parities])
-        rows = torch.cat([weight[None], weight * (turns[:, :, None] * characters[:, None]).flatten(1)[:, None]])
-        response = torch.stack([rows[1 + j] @ sums[a] for j, (a, _) in enumerate(strip.parities)])
-        windows = torch.stack([rows[:, r, start + r * step : start + r * step + length] for r in range(period)], 1)
+        windows = torch.stack([weight[r, start + r * step : start + r * step + length] for r in range(period)])
+        ones = torch.stack([sums[:, start + r * step : start + r * step + length] for r in range(period)], 1)
+        alternating = 1.0 - 2.0 * (torch.arange(length) % 2)
+        response = torch.stack([ones[0] * alternating, ones[1], ones[1] * alternating]).mul(windows).sum(2)
+        # (4, period, length / 4): planes i, i + 4, ... of a window
+        windows = windows.unflatten(1, (-1, _APART)).movedim(2, 0)
         # float64 columns (planes, columns) and rows (strips, planes) from where a cell and its first strip begin
         cols = torch.arange(-self.reach, width + self.reach) + torch.from_numpy(strip.x[self.order])[:, None]
         rows = torch.arange(self.strips)[:, None] * period + torch.from_numpy(strip.y[self.order])
         self._cols, self._rows = cols.to(task.device), rows.to(task.device)
-        self.constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, windows, response)]
-        self._watched: list[Tensor] = []
-        if audit is not None:
-            steps = [(0, 0), *((down, right) for _, down, right in audit.neighbours)]
-            planes = [int(self.place[plane]) for plane in (audit.reference, *(plane for plane, _, _ in audit.neighbours))]
-            self._watched = [torch.tensor(t).to(task.device) for t in (steps, planes)]
+        self.constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, signs, windows, response)]
         shape = (self.strips, count, width + 2 * self.reach)
         windows_of = (blocks, period, length), (start, step)
         self.graph = _graph(task.integrand.function, shape, *windows_of, width, audit is not None, task.dtype)
@@ -110,9 +117,10 @@ class Fused:
             NotCompiled: as `Compiled`.
         """
         task, period = self.task, self.strip.period
-        values, powers, norms, seen, more, *_ = self.graph(*self.inputs(cell, at))
+        values, powers, norms, samples, audited, *_ = self.graph(*self.inputs(cell, at))
         shape = self.strips, self.strip.count, self.width + 2 * self.reach
-        task.integrand.evaluations += math.prod(shape) + (shape[0] * shape[2] if seen else 0)
+        task.integrand.evaluations += math.prod(shape) + (shape[0] * shape[2] if audited else 0)
+        planes = [] if self.audit is None else self.audit.planes
         top, first = cell.row % period, at.strip - (cell.row // period - self.lead)
         strips = slice(first, first + at.strips)
         window = slice(top, top + cell.height), slice(0, cell.width)
@@ -120,12 +128,12 @@ class Fused:
             torch.stack([value[window] for value in values]),
             torch.stack([power[window] for power in powers]),
             torch.stack(norms)[:, strips, torch.from_numpy(self.place)],
-            [s[strips, : at.cols] for s in seen],
-            [m[strips, : at.cols] for m in more],
+            [values[strips, : at.cols] for values in audited],
+            [{plane: channel[strips, int(self.place[plane]), : at.cols] for plane in planes} for channel in samples],
         )
 
     def inputs(self, cell: Cell, at: Geometry) -> list[Tensor]:
-        """What the graph takes for a cell: f's x (planes, columns) and y (strips, planes), the weights, and what concerns the audit."""
+        """What the graph takes for a cell: f's x (planes, columns) and y (strips, planes), the weights, and x and y of an audit."""
         task, period = self.task, self.strip.period
         dtype, begin = task.screen.coordinate_dtype(cell, task.dtype), cell.row // period - self.lead
         x, y = task.screen.x_of(self._cols + cell.col), task.screen.y_of(self._rows + begin * period)
@@ -133,9 +141,7 @@ class Fused:
         if self.audit is not None:
             # drawn outside: the graph would hash anew wherever a point is used
             col, row = self.audit.places(replace(at, strip=begin, strips=self.strips, col=cell.col - self.reach, cols=x.shape[1]))
-            # neighbours are looked for among the samples of the cell's own geometry
-            bounds = torch.tensor([at.strip - begin, at.strip - begin + at.strips, at.cols])
-            inputs += [task.screen.x_of(col).to(dtype), task.screen.y_of(row).to(dtype), bounds.to(task.device), *self._watched]
+            inputs += [task.screen.x_of(col).to(dtype), task.screen.y_of(row).to(dtype)]
         return inputs
 
 
@@ -147,7 +153,8 @@ def _windows(count: int, period: int, radius: float) -> tuple[int, int, int]:
     step = round(count / period)
     first = [math.ceil((r + 0.5 - radius) * count / period) - 1 - r * step for r in range(period)]
     last = [math.ceil((r + 0.5 + radius) * count / period) - 1 - r * step for r in range(period)]
-    return step, min(first), max(last) - min(first) + 1
+    length = max(last) - min(first) + 1
+    return step, min(first), -(-length // _APART) * _APART
 
 
 def _graph(f: Function, *key: Any) -> Compiled:
@@ -179,10 +186,12 @@ def _kernel(
     """
     _, planes, cols = shape
     (blocks, period, length), (start, step) = windows, origin
-    strides, reach = (planes * width, step * width, width, 1), (cols - width) // 2
+    strides, reach = (planes * width, step * width, _APART * width, 1), (cols - width) // 2
 
-    def kernel(x: Tensor, y: Tensor, taps: Tensor, matrix: Tensor, response: Tensor, *watched: Tensor) -> tuple[list[Tensor], ...]:
-        values, powers, norms, kept, weighed, seen, more = [], [], [], [], [], [], []
+    def kernel(
+        x: Tensor, y: Tensor, taps: Tensor, signs: Tensor, weights: Tensor, response: Tensor, *off: Tensor
+    ) -> tuple[list[Tensor], ...]:
+        values, powers, norms, kept, weighed = [], [], [], [], []
         coordinates = x[None].expand(shape), y[:, :, None].expand(shape)
         for samples in channels_of(f(*coordinates), coordinates[0], dtype):
             parts = []
@@ -190,10 +199,13 @@ def _kernel(
                 terms = [taps[k][:, None] * samples[..., k : k + width] for k in range(parity, 2 * reach + 1, 2)]
                 parts.append(sum(terms[1:], terms[0]) if terms else torch.zeros_like(parts[0]))
             even, odd = parts
-            both, sums = torch.stack([even + odd, even - odd]), []
-            for j, rows in enumerate((matrix[:2], matrix[2:])):
-                window = both.as_strided((blocks, period, length, width), strides, j * even.numel() + start * width)
-                sums += [(window * row[None, :, :, None]).sum(2) for row in rows.unbind(0)]
+            both, sums = torch.stack([even + odd, (even - odd) * signs[:, None]]), []
+            for j in range(2):
+                origins = [j * even.numel() + (start + i) * width for i in range(_APART)]
+                windows = [both.as_strided((blocks, period, length // _APART, width), strides, at) for at in origins]
+                terms = [window * row[None, :, :, None] for window, row in zip(windows, weights.unbind(0))]
+                halves = [sum(terms[k + 2 :: 2], terms[k]).sum(2) for k in range(2)]
+                sums += [halves[0] + halves[1], halves[0] - halves[1]]
             value, *characters = sums
             deviations = [(one - r[None, :, None] * value).square() for one, r in zip(characters, response.unbind(0))]
             values.append(value.flatten(0, 1))
@@ -201,42 +213,7 @@ def _kernel(
             norms.append(torch.linalg.vector_norm(samples, dim=2))
             kept.append(samples)
             weighed.append(both)
-        if audited:
-            seen, more, asked = _watch(f, kept, *watched)
-            kept += asked
-        return values, powers, norms, seen, more, kept, weighed
+        asked = channels_of(f(*off), off[0], dtype) if audited else []
+        return values, powers, norms, kept, asked, weighed
 
     return kernel
-
-
-def _watch(
-    f: Function,
-    samples: list[Tensor],
-    x: Tensor,
-    y: Tensor,
-    bounds: Tensor,
-    steps: Tensor,
-    planes: Tensor,
-) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
-    """For each channel what `Audit.judged` takes, of f at the audit's points and the samples (strips, planes, columns) about them, and f there.
-
-    Args:
-        x, y: (strips, columns).
-        bounds: which strips [from, to) and how many columns are looked at.
-        steps, planes: strips and columns from the audit's sample, and the plane, of that sample and its four neighbours.
-    """
-    strips, _, cols = samples[0].shape
-    row, col = torch.arange(strips, device=bounds.device)[:, None], torch.arange(cols, device=bounds.device)[None]
-    asked, seen, more = channels_of(f(x, y), x, samples[0].dtype), [], []
-    for audited, channel in zip(asked, samples):
-        reference = channel.index_select(1, planes[:1])[:, 0]
-        square, most = (audited - reference).square(), torch.zeros_like(audited)
-        for k in range(1, 5):
-            down, right = row + steps[k, 0], col + steps[k, 1]
-            inside = (down >= bounds[0]) & (down < bounds[1]) & (right >= 0) & (right < bounds[2])
-            plane = planes[k : k + 1].expand(strips, cols)
-            there = channel[down.clamp(0, strips - 1), plane, right.clamp(0, cols - 1)]
-            most = torch.maximum(most, torch.where(inside, (there - reference).square(), 0))
-        seen.append(square)
-        more.append((square > most).to(square.dtype))
-    return seen, more, asked

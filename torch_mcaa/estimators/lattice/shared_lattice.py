@@ -159,7 +159,7 @@ class LatticeRound(Round):
         if not math.isfinite(found.norms.sum().item()):
             return None
         audit = self.audit
-        seen = [] if audit is None else [audit.judged(cell, at, s, m) for s, m in zip(found.seen, found.more, strict=True)]
+        seen = [] if audit is None else [audit.seen(cell, at, v, h) for v, h in zip(found.audited, found.held, strict=True)]
         variance, blind = _variance(found.power, seen, ratio)
         poles = Poles(task, cell, self.per_pixel, self.order)
         for channel in range(len(found.norms)):
@@ -281,10 +281,11 @@ def _variance(power: Tensor, seen: list[Seen], ratio: float) -> tuple[Tensor, Te
     variance = pooled(power)
     if not seen:
         return variance.mul_(1 / ratio), None
-    variance.mul_(1 / ratio + (1 / NOISE_RATIO - 1 / ratio) * torch.stack([s.noise for s in seen]))
-    blind = torch.stack([s.blind for s in seen])
-    if not bool((blind > 0).any()):
+    for channel, s in zip(variance, seen, strict=True):
+        channel.mul_(s.by_pixel(1 / ratio + (1 / NOISE_RATIO - 1 / ratio) * s.noise))
+    if not any(bool((s.blind > 0).any()) for s in seen):
         return variance, None
+    blind = torch.stack([s.by_pixel(s.blind).expand(variance.shape[1:]) for s in seen])
     return variance.add_(blind), blind
 
 
