@@ -264,6 +264,21 @@ class TestGradients:
             loss.backward()
 
 
+def test_batches_of_gradients_are_refused_in_words() -> None:
+    radius = torch.tensor(3.0, requires_grad=True)
+    picture = mcaa.Supersampler((8, 8), spp=4)(lambda x, y: (torch.hypot(x - 4, y - 4) < radius).to(x))
+    batch = torch.ones(2, *picture.shape)
+
+    def one(grad: Tensor) -> Tensor:
+        return torch.autograd.grad(picture, [radius], grad, retain_graph=True)[0]
+
+    with pytest.raises(McaaError, match="one gradient at a time"):
+        torch.autograd.grad(picture, [radius], batch, retain_graph=True, is_grads_batched=True)
+    with pytest.raises(McaaError, match="one gradient at a time"):
+        torch.func.vmap(one)(batch)
+    assert one(batch[0]) > 0
+
+
 class TestPyTorch:
     def test_state_dict_copies_and_pickles_go_on_where_they_were(self) -> None:
         layer = mcaa.Supersampler(SIZE, filter=mcaa.Gaussian(torch.nn.Parameter(torch.tensor(0.6))))

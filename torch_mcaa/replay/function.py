@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_mcaa.errors import McaaError
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.of_texels import OfTexels
+from torch_mcaa.traced.inside import functorch
 
 
 class Replayed(torch.autograd.Function):
@@ -26,6 +27,11 @@ class Replayed(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> Any:
         picture, *parameters = ctx.saved_tensors
         (grad,) = grads
+        if functorch.is_legacy_batchedtensor(grad) or functorch.is_functorch_wrapped_tensor(grad):
+            raise McaaError(
+                "a picture's backward pass takes one gradient at a time, received a batch of them, by is_grads_batched=True, vectorize=True or "
+                "vmap: ask for one after the other"
+            )
         with torch.no_grad(), torch.autocast(grad.device.type, enabled=False):
             found = ctx.replay.gradients(grad, picture)
         if torch.is_grad_enabled():

@@ -204,8 +204,9 @@ def _kernel(
                 origins = [j * even.numel() + (start + i) * width for i in range(_APART)]
                 windows = [both.as_strided((blocks, period, length // _APART, width), strides, at) for at in origins]
                 terms = [window * row[None, :, :, None] for window, row in zip(windows, weights.unbind(0))]
-                halves = [sum(terms[k + 2 :: 2], terms[k]).sum(2) for k in range(2)]
-                sums += [halves[0] + halves[1], halves[0] - halves[1]]
+                # in one loop: both sums read what the other does
+                halves = [sum(terms[k + 2 :: 2], terms[k]) for k in range(2)]
+                sums += [(halves[0] + halves[1]).sum(2), (halves[0] - halves[1]).sum(2)]
             value, *characters = sums
             deviations = [(one - r[None, :, None] * value).square() for one, r in zip(characters, response.unbind(0))]
             values.append(value.flatten(0, 1))
