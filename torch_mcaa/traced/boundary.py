@@ -21,6 +21,7 @@ from torch_mcaa.filters.base import Filter
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function
 from torch_mcaa.traced.asked import Asked, Tally
+from torch_mcaa.traced.crowded import FINE, crowded, finely
 from torch_mcaa.traced.once import zero_with_gradient
 from torch_mcaa.traced.program import Program, probe
 from torch_mcaa.traced.refine import Changes, chosen, refined
@@ -34,6 +35,8 @@ _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
 """At least so many segments, and four a pixel, are followed."""
+_DEARER = 8
+"""Of the segments that may be followed, one in so many may be looked at closely."""
 _SOME = 1 << 13
 """Segments that are followed together."""
 _FLAT_MARGIN = (
@@ -121,9 +124,18 @@ def elements(
     cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
     most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
-    found = chosen(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
+    found, length = [scan(asked, cols, rows, lines, seed, closed)], (1.0, 1 / FINE)
+    blocks = crowded(asked, found[0].brackets.take(found[0].brackets.own), seed, closed)
+    if len(blocks.numbers):
+        begin = found[0].brackets.places(found[0].brackets.low)
+        found = [found[0].take(~blocks.hold(*begin))]
+        found += [finely(asked, blocks, cols, rows, lines, max(_FEWEST, most // _DEARER), seed, closed)]
     # what is known of a change while it is looked for is five times as much as of an element
-    parts = [_weighed(refined(asked, part, most, seed), lines) for part in found.by_lines(_SOME)]
+    parts = [
+        _weighed(refined(asked, part, most, seed), lines, size)
+        for each, size in zip(found, length)
+        for part in chosen(asked, each, most, seed).by_lines(_SOME)
+    ]
     jump, at, rival = (torch.cat([part[k] for part in parts], 1) for k in (2, 6, 9))
     col, row, weight, cause, branch, flat, leap = (torch.cat([part[k] for part in parts]) for k in (0, 1, 3, 4, 5, 7, 8))
     problems = [f"{program.sites[k].where}: {program.sites[k].name} {_FLAT_MARGIN}" for k in flat.unique().tolist()]
@@ -139,15 +151,15 @@ def _span(first: int, size: int, whole: int, reach: float, closed: bool) -> tupl
     return first - beyond * (first == 0), first + size + beyond * (first + size == whole)
 
 
-def _weighed(changes: Changes, lines: int) -> tuple[Tensor, ...]:
-    """What `Elements` holds of the changes."""
+def _weighed(changes: Changes, lines: int, length: float) -> tuple[Tensor, ...]:
+    """What `Elements` holds of the changes, which segments of so many px met."""
     brackets = changes.brackets
     order = torch.argsort(brackets.low)
     changes = changes.take(order[torch.argsort(brackets.line[order], stable=True)])
     brackets, (before, after) = changes.brackets, changes.margin
     ratio = (before / (before - after)).nan_to_num(0.5).clamp(0, 1)
     place = brackets.low + ratio * (brackets.high - brackets.low)
-    probability = share(brackets.line, place, brackets.before, brackets.after)
+    probability = share(brackets.line, place, brackets.before, brackets.after, length)
     # the nearer end, unless the margin is on a plateau there, or too flat to be differentiated
     steep = changes.slope.abs().sum(0)
     high = (after.abs() < before.abs()).long()

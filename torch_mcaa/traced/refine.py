@@ -23,8 +23,8 @@ _BESIDE = 2.0**-20
 _FREQUENT, _TRIED, _KEPT = 256, 32, 16
 _SMOOTH = 0.02
 """A jump is at least so much of what f changes by in segments of 1 px."""
-_WORTH = 0x3057
-_DEARER = 4
+_WORTH, _LINES = 0x3057, 0x11E5
+_DEARER = 2
 """Of the segments that may be followed, one in so many may be quartered at once, which costs most."""
 _TIMES = 100
 """A margin that changes so many times more than its slope explains is not continuous."""
@@ -71,21 +71,33 @@ class Changes:
         """What belongs to the bracket's own axis, of (2, ..., N): one for columns, one for rows."""
         return torch.where(self.brackets.axis == 0, slope[0], slope[1])
 
-    def take(self, index: Tensor) -> Changes:
-        """Those at `index`, integers or bool."""
+    def take(self, index: Tensor, chance: float = 1.0) -> Changes:
+        """Those at `index`, integers or bool, that were kept with a probability of `chance`."""
         index = numbers(index)
         signatures, values, cause, margin, slope, behind, rival = (pick(getattr(self, name), index) for name in _LAST)
         return Changes(
-            self.brackets.take(index), signatures, values, cause, self.branch.index_select(0, index), margin, slope, behind, rival
+            self.brackets.take(index, chance), signatures, values, cause, self.branch.index_select(0, index), margin, slope, behind, rival
         )
 
 
 def chosen(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
-    """The segments that are to be `refined`: those that are worth it and, of more than `most`, so many at random, which count for the others."""
+    """The segments that are to be `refined`: those that are worth it and, of more than `most`, those of some lines at random, which count for
+    the others: of a line all, as how thin a piece is both its ends tell.
+    """
     found = _worthwhile(asked, found, most, seed)
     if len(found.cause) <= most:
         return found
-    return found.take(torch.argsort(found.brackets.numbers(seed), stable=True)[:most], most / len(found.cause))
+    kept, chance = _some_lines(found.brackets.line, most / len(found.cause), seed)
+    return found.take(kept, chance)
+
+
+def _some_lines(line: Tensor, part: float, seed: int) -> tuple[Tensor, float]:
+    """bool (N,): what lies on about that part of the lines, at random and at least one, and the exact part of them."""
+    lines, which = line.unique(return_inverse=True)
+    some = max(1, int(len(lines) * part))
+    kept = torch.zeros_like(lines, dtype=torch.bool)
+    kept[torch.argsort(rng.bits(seed, _LINES, lines), stable=True)[:some]] = True
+    return kept[which], some / len(lines)
 
 
 def located(asked: Asked, found: Segments, seed: int) -> Changes:
@@ -152,8 +164,12 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
     hit = (tried.signatures == torch.stack([near.before, near.after])).all(0)
     missed = near.take(~hit)
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
-    halved = _examined(asked, _quartered(asked, joined(rest), _NARROW, most, seed), sloped)
-    changes = _joined([tried.take(hit), halved])
+    dear, cheap = joined(rest), tried.take(hit)
+    if len(dear) * _DEARER > most:
+        kept, chance = _some_lines(torch.cat([dear.line, cheap.brackets.line]), most / (_DEARER * len(dear)), seed)
+        dear, cheap = dear.take(kept[: len(dear)], chance), cheap.take(kept[len(dear) :], chance)
+    halved = _examined(asked, _quartered(asked, dear, _NARROW, most, seed), sloped)
+    changes = _joined([cheap, halved])
     if not sloped:
         return changes
     # the margin may saturate a little beside the edge

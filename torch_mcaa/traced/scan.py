@@ -45,10 +45,11 @@ class Brackets:
     def __len__(self) -> int:
         return len(self.low)
 
-    def take(self, index: Tensor) -> Brackets:
-        """Those at `index`, integers or bool."""
+    def take(self, index: Tensor, chance: Tensor | float = 1.0) -> Brackets:
+        """Those at `index`, integers or bool, that were kept with a probability of `chance`."""
         index = numbers(index)
-        return Brackets(*(pick(getattr(self, field.name), index) for field in fields(self)))
+        kept = Brackets(*(pick(getattr(self, field.name), index) for field in fields(self)))
+        return replace(kept, chance=kept.chance * chance)
 
     def some(self, part: slice) -> Brackets:
         """A run of them."""
@@ -103,10 +104,9 @@ class Segments:
     def take(self, index: Tensor, chance: Tensor | float = 1.0) -> Segments:
         """Those at `index`, integers or bool, that were kept with a probability of `chance`."""
         index = numbers(index)
-        kept = self.brackets.take(index)
         cause, differing, margin, change = (pick(each, index) for each in (self.cause, self.differing, self.margin, self.change))
         branch = self.branch.index_select(0, index)
-        return Segments(replace(kept, chance=kept.chance * chance), cause, differing, branch, margin, change)
+        return Segments(self.brackets.take(index, chance), cause, differing, branch, margin, change)
 
     def by_lines(self, most: int) -> Iterator[Segments]:
         """All the segments of some lines after those of others, about `most` at a time; at least once."""
@@ -179,8 +179,8 @@ def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) 
     return Segments(brackets, seen.cause[chosen], seen.differing[chosen], seen.branch[chosen], seen.margin[:, chosen], change)
 
 
-def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """The probability that segments of 1 px meet each change, in the order of lines and places.
+def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor, length: float = 1.0) -> Tensor:
+    """The probability that segments of so many px meet each change, in the order of lines and places, if none are near but those met.
 
     A piece between two others of one signature is seen only if an end of a segment lies in it.
     """
@@ -188,7 +188,7 @@ def share(line: Tensor, place: Tensor, before: Tensor, after: Tensor) -> Tensor:
     for off in range(1, _GROUP):
         if len(place) <= off:
             break
-        chord = place[off:] - place[:-off]
+        chord = (place[off:] - place[:-off]) / length
         thin = ((line[off:] == line[:-off]) & (before[:-off] == after[off:]) & (chord < 1)).nonzero()[:, 0]
         for inside in range(off + 1):
             share[thin + inside] = torch.minimum(share[thin + inside], chord[thin])

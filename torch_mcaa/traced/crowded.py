@@ -1,0 +1,147 @@
+"""Where changes crowd: segments of 1 px then meet one with another probability than that of the thin piece that it ends.
+
+A segment shows that it holds changes only if its ends differ. A piece A|B|A by itself is met with the probability of its chord; of
+A|B|A|B|A, repeated within a pixel or two, a segment may hold two changes or three, and which of them are seen depends on them all. So a few of
+the segments in which thin pieces were met are looked at closely, with a pixel on either side. In blocks where changes are met with
+other probabilities there than thin pieces by themselves, segments at random take the place of those that differ, and are cut finely.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torch_mcaa import rng
+from torch_mcaa.picking import numbers, pick
+from torch_mcaa.traced.asked import Asked
+from torch_mcaa.traced.scan import Brackets, Segments, joined, share
+from torch_mcaa.traced.visitors import Causes
+
+FINE = 8
+"""Parts of a pixel that a segment is cut into."""
+_BLOCK = 8
+"""Px: what is found of a segment is taken to hold in squares of this size."""
+_LOOKS, _EACH, _PARTS = 2, 8, 4
+"""Segments of a block, along either axis, that tell whether changes crowd there: so many, or one of so many if that is more; and what a pixel
+of them is cut into."""
+_OFF = 0.05
+"""From this difference on a probability is another one."""
+_CLOSE, _FINELY = 0xC105E, 0xF17E
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Squares of the screen, by number."""
+
+    numbers: Tensor
+
+    def hold(self, col: Tensor, row: Tensor) -> Tensor:
+        """bool (N,): whether they hold a place."""
+        return torch.isin(_block(col, row), self.numbers)
+
+
+def _block(col: Tensor, row: Tensor) -> Tensor:
+    """The number of the block of a place."""
+    col, row = (place.div(_BLOCK, rounding_mode="floor").long() for place in (col, row))
+    # a screen has fewer columns
+    return row * 2**31 + col
+
+
+def crowded(asked: Asked, found: Brackets, seed: int, closed: bool) -> Blocks:
+    """The blocks in which changes crowd; `found`: the segments of 1 px that differ."""
+    block = _block(*found.places(found.low))
+    key = 2 * block + found.axis
+    order = torch.argsort(found.numbers(seed), stable=True)
+    order = order[torch.argsort(key[order], stable=True)]
+    counts = torch.unique_consecutive(key[order], return_counts=True)[1]
+    rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts).repeat_interleave(counts)
+    order = order[rank < (counts // _EACH).clamp_min(_LOOKS).repeat_interleave(counts)]
+    looked, block = found.take(order), block[order]
+    other = torch.zeros_like(block, dtype=torch.bool)
+    count = 3 * _PARTS + 2
+    most = max(1, asked.at_once // count)
+    for part in (slice(start, start + most) for start in range(0, len(looked), most)):
+        some = looked.some(part)
+        phase = rng.uniform(seed, _CLOSE, some.numbers(seed), dtype=torch.float64)
+        place = some.low - 1 + (torch.arange(-1, count - 1, device=phase.device)[:, None] + phase) / _PARTS
+        _, seen, place = _asked(asked, some, place, closed)
+        signature = seen.signatures(place.numel()).view(place.shape)
+        differs = signature[1:] != signature[:-1]
+        before, after = seen.margin.view(2, *differs.shape)
+        ratio = torch.where(differs, (before / (before - after)).nan_to_num(0.5).clamp(0, 1), 0.5)
+        cut = torch.lerp(place[:-1], place[1:], ratio).T.contiguous()
+        signature = signature.T.contiguous()
+        line, step = differs.T.nonzero().unbind(1)
+        change = cut[line, step]
+        before, after = signature[line, step], signature[line, step + 1]
+        inside = (change >= some.low[line]) & (change < some.high[line])
+        off = inside & ((share(line, change, before, after) - _met(cut, signature, line, change)).abs() > _OFF)
+        # of three changes in a segment two are overlooked if it is taken for one
+        off[1:] |= inside[1:] & inside[:-1] & (line[1:] == line[:-1]) & (before[:-1] == after[1:])
+        other[part][line[off]] = True
+    return Blocks(block[other].unique())
+
+
+def _asked(asked: Asked, lines: Brackets, place: Tensor, closed: bool) -> tuple[Tensor, Causes, Tensor]:
+    """f's values at places (K, N) on the lines, what changes between one and the next, and the places: inside a `closed` screen."""
+    if closed:
+        wide = torch.where(lines.axis == 0, asked.screen.width, asked.screen.height)
+        place = torch.minimum(place.clamp_min(0), wide * (1 - 2.0**-50))
+    col, row = lines.places(place)
+    shape = (len(place), len(lines))
+    values, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 0, False, asked.device), coarse=True)
+    return values, seen, place
+
+
+def _met(cut: Tensor, signature: Tensor, line: Tensor, place: Tensor) -> Tensor:
+    """(M,): the share of the phases at which the ends of the segment of 1 px that holds `place` (M,) on the line (M,) differ.
+
+    cut: (N, K) the places, in order, between which the lines' signatures (N, K + 1) are the same.
+    """
+    ends = torch.cat([cut, cut - 1], 1).sort(1).values
+    middle = (ends[:, 1:] + ends[:, :-1]) / 2
+    differ = signature.gather(1, torch.searchsorted(cut, middle)) != signature.gather(1, torch.searchsorted(cut, middle + 1))
+    place = place[:, None]
+    return (ends[line].minimum(place).maximum(place - 1).diff(dim=1) * differ[line]).sum(1)
+
+
+def finely(
+    asked: Asked, blocks: Blocks, cols: tuple[int, int], rows: tuple[int, int], lines: int, most: int, seed: int, closed: bool
+) -> Segments:
+    """The changes in about `most` segments of those that `scan` has in the blocks, at random, in parts of 1 / `FINE` px.
+
+    With those in the parts beside the segments, not `own`. Their lines are numbered by the segments.
+    """
+    chosen = []
+    for axis, along, across in ((0, cols, rows), (1, rows, cols)):
+        begin = torch.arange(along[0] - (along[0] <= 0), along[1], device=asked.device, dtype=torch.float64)
+        level = torch.arange(*across, device=asked.device, dtype=torch.float64)
+        low, lie = (t.flatten().repeat_interleave(lines) for t in torch.meshgrid(begin, level, indexing="ij"))
+        held = blocks.hold(low, lie) if axis == 0 else blocks.hold(lie, low)
+        number = torch.arange(lines, device=asked.device).repeat(len(low) // lines)[held]
+        low, lie = low[held], lie[held]
+        keys = axis, low.long(), lie.long(), number
+        phase, off = (rng.uniform(seed, _FINELY, which, *keys, dtype=torch.float64) for which in (0, 1))
+        none = torch.zeros_like(number)
+        own = torch.ones_like(number, dtype=torch.bool)
+        chosen.append(Brackets(none + axis, lie + (number + off) / lines, low + phase, low + phase + 1, none, none, none, own, own.double(), none))
+    whole = joined(chosen).thinned(most, seed)
+    found, step = [], max(1, asked.at_once // (FINE + 3))
+    for start in range(0, max(1, len(whole)), step):
+        some = whole.some(slice(start, start + step))
+        place = some.low + torch.arange(-1, FINE + 2, device=asked.device)[:, None] / FINE
+        values, seen, place = _asked(asked, some, place, closed)
+        signature = seen.signatures(place.numel()).view(place.shape)
+        part, line = (signature[1:] != signature[:-1]).nonzero().unbind(1)
+        at = part * len(some) + line
+        low, high, before, after = (pick(t.flatten(), at) for t in (place[:-1], place[1:], signature[:-1], signature[1:]))
+        kept, inside = some.take(line), (part > 0) & (part <= FINE)
+        brackets = Brackets(kept.axis, kept.across, low, high, before, after, line + start, inside, kept.chance, kept.group)
+        change = (values[:, len(some) :] - values[:, : -len(some)]).abs().amax(0)
+        found.append(
+            Segments(brackets, seen.cause[at], seen.differing[at], seen.branch[at], pick(seen.margin, at), pick(change, at))
+        )
+    cause, differing, branch, change = (torch.cat([getattr(f, n) for f in found]) for n in ("cause", "differing", "branch", "change"))
+    return Segments(joined([f.brackets for f in found]), cause, differing, branch, torch.cat([f.margin for f in found], 1), change)
