@@ -24,7 +24,7 @@ from torch_mcaa.traced.asked import Asked, Tally
 from torch_mcaa.traced.crowded import FINE, crowded, finely
 from torch_mcaa.traced.once import zero_with_gradient
 from torch_mcaa.traced.program import Program, probe
-from torch_mcaa.traced.refine import Changes, chosen, refined
+from torch_mcaa.traced.refine import Changes, refined, thinned, worthwhile
 from torch_mcaa.traced.scan import scan, share
 from torch_mcaa.traced.shared import shared
 from torch_mcaa.traced.visitors import Margins
@@ -124,17 +124,18 @@ def elements(
     cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
     most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
-    found, length = [scan(asked, cols, rows, lines, seed, closed)], (1.0, 1 / FINE)
-    blocks = crowded(asked, found[0].brackets.take(found[0].brackets.own), seed, closed)
+    found = worthwhile(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
+    blocks = crowded(asked, found.brackets.take(found.brackets.own), lines, seed, closed)
+    scans = [(found, most, 1.0)]
     if len(blocks.numbers):
-        begin = found[0].brackets.places(found[0].brackets.low)
-        found = [found[0].take(~blocks.hold(*begin))]
-        found += [finely(asked, blocks, cols, rows, lines, max(_FEWEST, most // _DEARER), seed, closed)]
+        scans = [(found.take(~blocks.hold(found.brackets)), most, 1.0)]
+        found = finely(asked, blocks, cols, rows, max(_FEWEST, most // _DEARER), seed, closed)
+        scans += [(worthwhile(asked, found, most // 2, seed), most // 2, 1 / FINE)]
     # what is known of a change while it is looked for is five times as much as of an element
     parts = [
-        _weighed(refined(asked, part, most, seed), lines, size)
-        for each, size in zip(found, length)
-        for part in chosen(asked, each, most, seed).by_lines(_SOME)
+        _weighed(refined(asked, part, many, seed), lines, length)
+        for found, many, length in scans
+        for part in thinned(found, many, seed).by_lines(_SOME)
     ]
     jump, at, rival = (torch.cat([part[k] for part in parts], 1) for k in (2, 6, 9))
     col, row, weight, cause, branch, flat, leap = (torch.cat([part[k] for part in parts]) for k in (0, 1, 3, 4, 5, 7, 8))

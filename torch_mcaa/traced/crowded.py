@@ -2,19 +2,20 @@
 
 A segment shows that it holds changes only if its ends differ. A piece A|B|A by itself is met with the probability of its chord; of
 A|B|A|B|A, repeated within a pixel or two, a segment may hold two changes or three, and which of them are seen depends on them all. So a few of
-the segments in which thin pieces were met are looked at closely, with a pixel on either side. In blocks where changes are met with
-other probabilities there than thin pieces by themselves, segments at random take the place of those that differ, and are cut finely.
+the segments that differ are looked at closely, with a pixel on either side. In blocks where changes are met with other probabilities than thin
+pieces by themselves, segments at random take the place of those that differ, and are cut finely. What every other line tells decides for the
+lines between: if a piece that is met now and then decided what becomes of itself, that would be a selection.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.picking import numbers, pick
+from torch_mcaa.picking import pick
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.scan import Brackets, Segments, joined, share
 from torch_mcaa.traced.visitors import Causes
@@ -23,9 +24,8 @@ FINE = 8
 """Parts of a pixel that a segment is cut into."""
 _BLOCK = 8
 """Px: what is found of a segment is taken to hold in squares of this size."""
-_LOOKS, _EACH, _PARTS = 2, 8, 4
-"""Segments of a block, along either axis, that tell whether changes crowd there: so many, or one of so many if that is more; and what a pixel
-of them is cut into."""
+_EACH, _PARTS = 8, 4
+"""One of so many segments of a block, or one at least, tells whether changes crowd there; and what a pixel of it is cut into."""
 _OFF = 0.05
 """From this difference on a probability is another one."""
 _CLOSE, _FINELY = 0xC105E, 0xF17E
@@ -33,31 +33,32 @@ _CLOSE, _FINELY = 0xC105E, 0xF17E
 
 @dataclass(frozen=True)
 class Blocks:
-    """Squares of the screen, by number."""
+    """Squares of the screen, each with every other of `lines` lines a pixel, by number."""
 
     numbers: Tensor
+    lines: int
 
-    def hold(self, col: Tensor, row: Tensor) -> Tensor:
-        """bool (N,): whether they hold a place."""
-        return torch.isin(_block(col, row), self.numbers)
+    def hold(self, found: Brackets) -> Tensor:
+        """bool (N,): whether they hold the beginnings of brackets."""
+        return torch.isin(_block(found, self.lines), self.numbers)
 
 
-def _block(col: Tensor, row: Tensor) -> Tensor:
-    """The number of the block of a place."""
-    col, row = (place.div(_BLOCK, rounding_mode="floor").long() for place in (col, row))
+def _block(found: Brackets, lines: int) -> Tensor:
+    """(N,): the number of the block that each begins in, with the lines that its own is one of."""
+    col, row = (place.div(_BLOCK, rounding_mode="floor").long() for place in found.places(found.low))
     # a screen has fewer columns
-    return row * 2**31 + col
+    return 2 * (row * 2**31 + col) + (found.across * lines).floor().long() % 2
 
 
-def crowded(asked: Asked, found: Brackets, seed: int, closed: bool) -> Blocks:
-    """The blocks in which changes crowd; `found`: the segments of 1 px that differ."""
-    block = _block(*found.places(found.low))
+def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) -> Blocks:
+    """The blocks in which changes crowd, by what the lines beside tell; `found`: the segments of 1 px that differ, on `lines` lines a pixel."""
+    block = _block(found, lines)
     key = 2 * block + found.axis
     order = torch.argsort(found.numbers(seed), stable=True)
     order = order[torch.argsort(key[order], stable=True)]
     counts = torch.unique_consecutive(key[order], return_counts=True)[1]
     rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts).repeat_interleave(counts)
-    order = order[rank < (counts // _EACH).clamp_min(_LOOKS).repeat_interleave(counts)]
+    order = order[rank < (counts // _EACH).clamp_min(1).repeat_interleave(counts)]
     looked, block = found.take(order), block[order]
     other = torch.zeros_like(block, dtype=torch.bool)
     count = 3 * _PARTS + 2
@@ -81,13 +82,14 @@ def crowded(asked: Asked, found: Brackets, seed: int, closed: bool) -> Blocks:
         # of three changes in a segment two are overlooked if it is taken for one
         off[1:] |= inside[1:] & inside[:-1] & (line[1:] == line[:-1]) & (before[:-1] == after[1:])
         other[part][line[off]] = True
-    return Blocks(block[other].unique())
+    # the lines beside
+    return Blocks((block[other] ^ 1).unique(), lines)
 
 
 def _asked(asked: Asked, lines: Brackets, place: Tensor, closed: bool) -> tuple[Tensor, Causes, Tensor]:
     """f's values at places (K, N) on the lines, what changes between one and the next, and the places: inside a `closed` screen."""
     if closed:
-        wide = torch.where(lines.axis == 0, asked.screen.width, asked.screen.height)
+        wide = torch.where(lines.axis == 0, asked.screen.width, asked.screen.height).to(place.dtype)
         place = torch.minimum(place.clamp_min(0), wide * (1 - 2.0**-50))
     col, row = lines.places(place)
     shape = (len(place), len(lines))
@@ -108,25 +110,25 @@ def _met(cut: Tensor, signature: Tensor, line: Tensor, place: Tensor) -> Tensor:
 
 
 def finely(
-    asked: Asked, blocks: Blocks, cols: tuple[int, int], rows: tuple[int, int], lines: int, most: int, seed: int, closed: bool
+    asked: Asked, blocks: Blocks, cols: tuple[int, int], rows: tuple[int, int], most: int, seed: int, closed: bool
 ) -> Segments:
     """The changes in about `most` segments of those that `scan` has in the blocks, at random, in parts of 1 / `FINE` px.
 
     With those in the parts beside the segments, not `own`. Their lines are numbered by the segments.
     """
-    chosen = []
+    chosen, lines = [], blocks.lines
     for axis, along, across in ((0, cols, rows), (1, rows, cols)):
         begin = torch.arange(along[0] - (along[0] <= 0), along[1], device=asked.device, dtype=torch.float64)
         level = torch.arange(*across, device=asked.device, dtype=torch.float64)
         low, lie = (t.flatten().repeat_interleave(lines) for t in torch.meshgrid(begin, level, indexing="ij"))
-        held = blocks.hold(low, lie) if axis == 0 else blocks.hold(lie, low)
-        number = torch.arange(lines, device=asked.device).repeat(len(low) // lines)[held]
-        low, lie = low[held], lie[held]
+        number = torch.arange(lines, device=asked.device).repeat(len(low) // lines)
         keys = axis, low.long(), lie.long(), number
         phase, off = (rng.uniform(seed, _FINELY, which, *keys, dtype=torch.float64) for which in (0, 1))
         none = torch.zeros_like(number)
-        own = torch.ones_like(number, dtype=torch.bool)
-        chosen.append(Brackets(none + axis, lie + (number + off) / lines, low + phase, low + phase + 1, none, none, none, own, own.double(), none))
+        own, level, begin = torch.ones_like(none, dtype=torch.bool), lie + (number + off) / lines, low + phase
+        # of the block that their pixel is in
+        every = Brackets(none + axis, level, low, begin + 1, none, none, none, own, own.double(), none)
+        chosen.append(replace(every, low=begin).take(blocks.hold(every)))
     whole = joined(chosen).thinned(most, seed)
     found, step = [], max(1, asked.at_once // (FINE + 3))
     for start in range(0, max(1, len(whole)), step):

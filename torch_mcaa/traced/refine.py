@@ -80,11 +80,10 @@ class Changes:
         )
 
 
-def chosen(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
-    """The segments that are to be `refined`: those that are worth it and, of more than `most`, those of some lines at random, which count for
-    the others: of a line all, as how thin a piece is both its ends tell.
+def thinned(found: Segments, most: int, seed: int) -> Segments:
+    """The segments or, of more than `most`, those of some lines at random, which count for the others: all of a line, for how thin a piece is
+    both its ends tell.
     """
-    found = _worthwhile(asked, found, most, seed)
     if len(found.cause) <= most:
         return found
     kept, chance = _some_lines(found.brackets.line, most / len(found.cause), seed)
@@ -105,7 +104,7 @@ def located(asked: Asked, found: Segments, seed: int) -> Changes:
     return refined(asked, found, 1 << 62, seed, sloped=False)
 
 
-def _worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
+def worthwhile(asked: Asked, found: Segments, most: int, seed: int) -> Segments:
     """Fewer of the segments in which such decisions differ as do not seem to make f jump, like those at texels' borders in a bilinear texture.
 
     Of all those in which the same decisions differ, if there are many, some are tried; where f changes no more across any edge in them than
