@@ -40,9 +40,13 @@ WHOLE = [Cell(0, 0, 24, 20)]
 @pytest.mark.parametrize("closed", [False, True])
 @pytest.mark.parametrize("size", [(24, 7), (5, 20), (8, 8), (1, 3)])
 def test_every_tiling_meets_the_same(size: tuple[int, int], closed: bool) -> None:
-    """Bit for bit: f and its decisions are computed point by point, and at no place otherwise than at another."""
-    whole = table(met(rings, WHOLE, closed=closed))
-    tiled = table(met(rings, list(SCREEN.cells(*size)), closed=closed))
+    """Bit for bit: f and its decisions are computed point by point, and at no place otherwise than at another, but where changes crowd."""
+
+    def alone(x: Tensor, y: Tensor) -> Tensor:
+        return torch.floor(torch.hypot(x - 9.3, y - 11.2) / 3)
+
+    whole = table(met(alone, WHOLE, closed=closed))
+    tiled = table(met(alone, list(SCREEN.cells(*size)), closed=closed))
     assert torch.equal(whole, tiled) and len(whole) > 300
 
 
@@ -62,7 +66,10 @@ def test_a_closed_screen_is_asked_nowhere_else_and_an_open_one_as_far_as_the_fil
 
 
 def test_the_number_of_evaluations() -> None:
-    """A half-plane: 6 a pixel, and for each crossing one between the ends, and the two sides of it."""
+    """A half-plane: 6 a pixel, for each crossing one between the ends, and the two sides of it, and a close look at one in eight at least.
+
+    A block's crossings are in four parts, by axis and every other line; a look is at 3 pixels in quarters, and a quarter on either side.
+    """
     count = [0]
 
     def tally(col: Tensor, row: Tensor) -> None:
@@ -71,7 +78,8 @@ def test_the_number_of_evaluations() -> None:
     (found,) = met(lambda x, y: 0.8 * x + 0.6 * y > 13.1, WHOLE, tally=tally)
     # lines reach 2 px beyond the screen; segments begin 3 px before it, one more is looked at on either side, and each has two ends
     samples = 3 * ((24 + 4) * (20 + 4 + 1 + 2 + 1) + (20 + 4) * (24 + 4 + 1 + 2 + 1))
-    assert samples + 3 * len(found) <= count[0] <= samples + 3 * len(found) + 40
+    parts = 4 * len(torch.stack([found.col, found.row]).div(8, rounding_mode="floor").unique(dim=1).T)
+    assert samples + 3 * len(found) <= count[0] <= samples + 3 * len(found) + 40 + 14 * (parts + len(found) // 8)
 
 
 def test_shares_of_thin_pieces() -> None:
@@ -92,7 +100,7 @@ def test_noise_is_asked_at_a_bounded_number_of_places() -> None:
         count[0] += len(col)
 
     met(lambda x, y: torch.floor(torch.sin(x * 12.9898e3 + y * 78.233e3) * 43758.5453), WHOLE, tally=tally)
-    assert count[0] < 100 * 24 * 20
+    assert count[0] < 125 * 24 * 20
 
 
 def test_nothing_jumps() -> None:
@@ -119,7 +127,7 @@ def test_a_switch_without_a_jump_is_none(value: str) -> None:
 
 
 def test_borders_of_a_continuous_texture_are_hardly_followed_and_those_of_another_are() -> None:
-    """At a texel a pixel every segment crosses one or two: following all of them took 57 evaluations a pixel."""
+    """At a texel a pixel every segment crosses one or two: following all of them takes 82 evaluations a pixel."""
     screen, image = Screen.of((48, 48)), torch.rand(1, 48, 48, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     turn = torch.tensor([[1.0, 0.2, 0.3], [-0.2, 1.0, 9.7], [0, 0, 1]], dtype=torch.float64)
     spent, jumps = {}, {}
@@ -132,7 +140,7 @@ def test_borders_of_a_continuous_texture_are_hardly_followed_and_those_of_anothe
         f = mcaa.Texture(image, interpolation, "repeat", transform=turn)  # pyright: ignore[reportArgumentType]
         found = elements(f, screen, Cell(0, 0, 48, 48), FILTER, 1, 3, fixed=True, dtype=torch.float64, tally=tally)
         spent[interpolation], jumps[interpolation] = count[0] / 48**2, float(found.jump.abs().max())
-    assert spent["bilinear"] < 30 < spent["nearest"] < 60
+    assert spent["bilinear"] < 30 < spent["nearest"] < 90
     assert jumps["bilinear"] < 5e-3 and jumps["nearest"] > 0.9
 
 

@@ -22,9 +22,9 @@ from torch_mcaa.traced.visitors import Causes
 
 FINE = 8
 """Parts of a pixel that a segment is cut into."""
-_BLOCK = 8
+_BLOCK = 16
 """Px: what is found of a segment is taken to hold in squares of this size."""
-_EACH, _PARTS = 8, 4
+_EACH, _PARTS = 6, 4
 """One of so many segments of a block, or one at least, tells whether changes crowd there; and what a pixel of it is cut into."""
 _OFF = 0.05
 """From this difference on a probability is another one."""
@@ -58,8 +58,15 @@ def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) 
     order = order[torch.argsort(key[order], stable=True)]
     counts = torch.unique_consecutive(key[order], return_counts=True)[1]
     rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts).repeat_interleave(counts)
-    order = order[rank < (counts // _EACH).clamp_min(1).repeat_interleave(counts)]
+    chosen = rank < (counts // _EACH).clamp_min(1).repeat_interleave(counts)
+    order, rank = order[chosen], rank[chosen]
     looked, block = found.take(order), block[order]
+    # what segments seldom meet lies elsewhere on their lines
+    anywhere = rng.uniform(seed, _CLOSE, _CLOSE, looked.numbers(seed), dtype=torch.float64)
+    anywhere = _BLOCK * (looked.low.div(_BLOCK, rounding_mode="floor") + anywhere)
+    differing = rank % 2 == 0
+    low = torch.where(differing, looked.low, anywhere)
+    looked = replace(looked, low=low, high=low + 1)
     other = torch.zeros_like(block, dtype=torch.bool)
     count = 3 * _PARTS + 2
     most = max(1, asked.at_once // count)
@@ -79,8 +86,9 @@ def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) 
         before, after = signature[line, step], signature[line, step + 1]
         inside = (change >= some.low[line]) & (change < some.high[line])
         off = inside & ((share(line, change, before, after) - _met(cut, signature, line, change)).abs() > _OFF)
-        # of three changes in a segment two are overlooked if it is taken for one
-        off[1:] |= inside[1:] & inside[:-1] & (line[1:] == line[:-1]) & (before[:-1] == after[1:])
+        # a segment that differs and holds a piece holds three changes, of which two are overlooked if it is taken for one
+        whole = inside[1:] & inside[:-1] & (line[1:] == line[:-1]) & (before[:-1] == after[1:])
+        off[1:] |= whole & differing[part][line[1:]]
         other[part][line[off]] = True
     # the lines beside
     return Blocks((block[other] ^ 1).unique(), lines)

@@ -24,7 +24,7 @@ _FREQUENT, _TRIED, _KEPT = 256, 32, 16
 _SMOOTH = 0.02
 """A jump is at least so much of what f changes by in segments of 1 px."""
 _WORTH, _LINES = 0x3057, 0x11E5
-_DEARER = 2
+_DEARER = 3
 """Of the segments that may be followed, one in so many may be quartered at once, which costs most."""
 _TIMES = 100
 """A margin that changes so many times more than its slope explains is not continuous."""
