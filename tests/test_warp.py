@@ -171,3 +171,11 @@ def test_bad_input_of_resize() -> None:
     ):
         with pytest.raises(McaaError, match=said):
             mcaa.resize(**{"input": torch.zeros(3, 8, 8), "size": 4, **given})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "fill", [0.3, [0.1, 0.2, 0.3], torch.rand(2), torch.rand(5, 3, 1, 1), torch.rand(2, 1, 3, 1, 1), torch.rand(3) * 1j]
+)
+def test_what_is_no_colour_to_fill_with_is_refused(fill: object) -> None:
+    with pytest.raises(mcaa.McaaError, match="fill_value must be a tensor"):
+        mcaa.warp_perspective(torch.rand(1, 3, 8, 9), torch.eye(3)[None], (4, 4), padding_mode="fill", fill_value=fill)  # pyright: ignore[reportArgumentType]

@@ -63,6 +63,8 @@ def warp_perspective(
     if not (isinstance(M, Tensor) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
         raise McaaError(f"M must be a tensor (B, 3, 3), got {_told(M)}")
     _check(src, M, padding_mode)
+    if fill_value is not None:
+        _check_fill(fill_value, (max(len(src), len(M)), src.shape[1], *dsize))
     layer = _layer(dsize, filter, spp, seed)
     interpolation = _looked_up(mode, _MODES, "mode")
     if padding_mode == "fill":
@@ -82,6 +84,17 @@ def warp_perspective(
         fill = fill.to(found)[:, None, None] if fill.ndim == 1 else fill.to(found)
         found = found[:, :-1] + (1 - found[:, -1:]) * fill
     return found
+
+
+def _check_fill(fill_value: object, shape: tuple[int, ...]) -> None:
+    """Raises McaaError for one that is no colour of pictures of this shape."""
+    if isinstance(fill_value, Tensor) and not fill_value.is_complex() and fill_value.device.type != "meta":
+        given = tuple(fill_value.shape)
+        if given in ((), (1,), shape[1:2]) or (len(given) == 4 and all(a in (1, b) for a, b in zip(given, shape, strict=True))):
+            return
+    raise McaaError(
+        f"fill_value must be a tensor ({shape[1]},), a number for each channel, or one that broadcasts to {shape}, got {_told(fill_value)}"
+    )
 
 
 def warp_affine(

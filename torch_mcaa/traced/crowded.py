@@ -153,5 +153,7 @@ def finely(
         found.append(
             Segments(brackets, seen.cause[at], seen.differing[at], seen.branch[at], pick(seen.margin, at), pick(change, at))
         )
-    cause, differing, branch, change = (torch.cat([getattr(f, n) for f in found]) for n in ("cause", "differing", "branch", "change"))
+    cause, differing, branch, change = (
+        torch.cat([getattr(f, n) for f in found]) for n in ("cause", "differing", "branch", "change")
+    )
     return Segments(joined([f.brackets for f in found]), cause, differing, branch, torch.cat([f.margin for f in found], 1), change)

@@ -27,7 +27,7 @@ def derivatives(
             "more of f than a block of samples needs"
         ) from error
     except RuntimeError as error:
-        if "is not implemented" in str(error):
+        if "is not implemented" in str(error) or "no autograd formula was registered" in str(error):
             raise McaaError(f"f uses an operation that PyTorch cannot differentiate: {error}; give it detached tensors") from error
         if "inplace" not in str(error):
             raise

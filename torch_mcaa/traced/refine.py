@@ -76,7 +76,15 @@ class Changes:
         index = numbers(index)
         signatures, values, cause, margin, slope, behind, rival = (pick(getattr(self, name), index) for name in _LAST)
         return Changes(
-            self.brackets.take(index, chance), signatures, values, cause, self.branch.index_select(0, index), margin, slope, behind, rival
+            self.brackets.take(index, chance),
+            signatures,
+            values,
+            cause,
+            self.branch.index_select(0, index),
+            margin,
+            slope,
+            behind,
+            rival,
         )
 
 
