@@ -128,7 +128,8 @@ def elements(
     blocks = crowded(asked, found.brackets.take(found.brackets.own), lines, seed, closed)
     scans = [(found, most, 1.0)]
     if len(blocks.numbers):
-        scans = [(found.take(~blocks.hold(found.brackets)), most, 1.0)]
+        every = found.brackets
+        scans = [(found.take(~blocks.hold(every.axis, every.low, every.across)), most, 1.0)]
         found = finely(asked, blocks, cols, rows, max(_FEWEST, most // _DEARER), seed, closed)
         scans += [(worthwhile(asked, found, most // 2, seed), most // 2, 1 / FINE)]
     # what is known of a change while it is looked for is five times as much as of an element

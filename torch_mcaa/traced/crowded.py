@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.picking import pick
+from torch_mcaa.picking import numbers, pick
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.scan import Brackets, Segments, joined, share
 from torch_mcaa.traced.visitors import Causes
@@ -38,21 +38,23 @@ class Blocks:
     numbers: Tensor
     lines: int
 
-    def hold(self, found: Brackets) -> Tensor:
-        """bool (N,): whether they hold the beginnings of brackets."""
-        return torch.isin(_block(found, self.lines), self.numbers)
+    def hold(self, axis: int | Tensor, along: Tensor, across: Tensor) -> Tensor:
+        """bool (N,): whether they hold places on lines along an axis."""
+        return torch.isin(_block(axis, along, across, self.lines), self.numbers)
 
 
-def _block(found: Brackets, lines: int) -> Tensor:
-    """(N,): the number of the block that each begins in, with the lines that its own is one of."""
-    col, row = (place.div(_BLOCK, rounding_mode="floor").long() for place in found.places(found.low))
+def _block(axis: int | Tensor, along: Tensor, across: Tensor, lines: int) -> Tensor:
+    """(N,): the number of the block that each place is in, with the lines that its own is one of."""
+    horizontal = torch.as_tensor(axis, device=along.device) == 0
+    ends = torch.where(horizontal, along, across), torch.where(horizontal, across, along)
+    col, row = (place.div(_BLOCK, rounding_mode="floor").long() for place in ends)
     # a screen has fewer columns
-    return 2 * (row * 2**31 + col) + (found.across * lines).floor().long() % 2
+    return 2 * (row * 2**31 + col) + (across * lines).floor().long() % 2
 
 
 def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) -> Blocks:
     """The blocks in which changes crowd, by what the lines beside tell; `found`: the segments of 1 px that differ, on `lines` lines a pixel."""
-    block = _block(found, lines)
+    block = _block(found.axis, found.low, found.across, lines)
     key = 2 * block + found.axis
     order = torch.argsort(found.numbers(seed), stable=True)
     order = order[torch.argsort(key[order], stable=True)]
@@ -130,13 +132,14 @@ def finely(
         level = torch.arange(*across, device=asked.device, dtype=torch.float64)
         low, lie = (t.flatten().repeat_interleave(lines) for t in torch.meshgrid(begin, level, indexing="ij"))
         number = torch.arange(lines, device=asked.device).repeat(len(low) // lines)
+        # those of the block that their pixel is in
+        held = numbers(blocks.hold(axis, low, lie + (number + 0.5) / lines))
+        low, lie, number = (pick(each, held) for each in (low, lie, number))
         keys = axis, low.long(), lie.long(), number
         phase, off = (rng.uniform(seed, _FINELY, which, *keys, dtype=torch.float64) for which in (0, 1))
-        none = torch.zeros_like(number)
-        own, level, begin = torch.ones_like(none, dtype=torch.bool), lie + (number + off) / lines, low + phase
-        # of the block that their pixel is in
-        every = Brackets(none + axis, level, low, begin + 1, none, none, none, own, own.double(), none)
-        chosen.append(replace(every, low=begin).take(blocks.hold(every)))
+        low, none = low + phase, torch.zeros_like(number)
+        own = torch.ones_like(none, dtype=torch.bool)
+        chosen.append(Brackets(none + axis, lie + (number + off) / lines, low, low + 1, none, none, none, own, own.double(), none))
     whole = joined(chosen).thinned(most, seed)
     found, step = [], max(1, asked.at_once // (FINE + 3))
     for start in range(0, max(1, len(whole)), step):
