@@ -132,6 +132,14 @@ def test_who_declares_a_jump_is_not_told_of_the_code_that_hides_it() -> None:
     assert problems(f) == ()
 
 
+def test_who_declares_a_jump_that_does_not_move_is_told_what_is_lost() -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        return mcaa.level_set(torch.from_numpy(x.detach().numpy() - THETA.item())) * y
+
+    (problem,) = problems(f)
+    assert "item takes a parameter's value out of PyTorch" in problem
+
+
 def _constants(x: Tensor, y: Tensor) -> Tensor:
     scale = 1.0 if bool(CONSTANT > 2) else 2.0
     return x * scale * CONSTANT.item() + torch.arange(3.0).sort().values.sum() / THETA

@@ -81,10 +81,13 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         raise changed_program(f"{len(first.met)} decisions at {first.points} points, {len(second.met)} at {second.points}")
     problems = [*first.problems]
     # with them, tensors whose size follows the number of points, made by nothing that PyTorch could show
-    hidden = [*first.hidden, *(text for place, text in first.strangers.items() if place in second.strangers)]
-    # who declares a jump knows of the code that hides it
-    if not any(met.name == "level_set" for met in first.met):
+    hidden = [*first.hidden, *first.lost, *(text for place, text in first.strangers.items() if place in second.strangers)]
+    # who declares a jump knows of the code that hides it, but not that the declared one does not move
+    declared = [met for met in first.met if met.name == "level_set"]
+    if not declared:
         problems += hidden
+    elif not any(met.depends & _PARAMETER for met in declared):
+        problems += first.lost
     sites = []
     for one, two in zip(first.met, second.met, strict=True):
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
@@ -115,6 +118,7 @@ class _Probe(Watch):
         self.met: list[_Met] = []
         self.problems: list[str] = []
         self.hidden: list[str] = []
+        self.lost: list[str] = []
         self.strangers: dict[tuple[int, int], str] = {}
         self._depends: dict[int, int] = {}
         self._stores: dict[object, int] = {}
@@ -182,7 +186,7 @@ class _Probe(Watch):
         elif depends & _POINT:
             self.hidden.append(f"{where()}: {name} takes values of the points out of PyTorch")
         elif depends & _PARAMETER:
-            self.hidden.append(f"{where()}: {name} takes a parameter's value out of PyTorch, and its gradient is lost")
+            self.lost.append(f"{where()}: {name} takes a parameter's value out of PyTorch, and its gradient is lost")
 
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
