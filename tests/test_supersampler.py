@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import io
 import pickle
+import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -262,6 +263,12 @@ class TestGradients:
             p += 1
         with pytest.raises(RuntimeError, match="modified by an inplace operation"):
             loss.backward()
+
+
+def test_a_layer_of_many_samples_is_made_at_once() -> None:
+    began = time.perf_counter()
+    mcaa.Supersampler((8, 8), spp=10**9)
+    assert time.perf_counter() - began < 20
 
 
 def test_batches_of_gradients_are_refused_in_words() -> None:

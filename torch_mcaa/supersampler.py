@@ -24,6 +24,9 @@ from torch_mcaa.replay.plan import followed, plan
 from torch_mcaa.texture import Texture
 from torch_mcaa.traced.inside import transformed
 
+_TRIED = 256
+"""Evaluations a pixel, at most, of the picture of one pixel by which a layer's arguments are tried."""
+
 
 class Supersampler(torch.nn.Module):
     """A layer from functions, or textures, to anti-aliased pictures, differentiable in everything they depend on.
@@ -102,9 +105,10 @@ class Supersampler(torch.nn.Module):
         dtype = default if default == torch.float64 else torch.float32
         self.register_buffer("_like", torch.empty(0, dtype=dtype), persistent=False)
         self._like: Tensor
-        # `render` refuses now what it would refuse later
+        # `render` refuses now what it would refuse later; many samples would take their time
         Screen.of(size, self._extent())
-        self._render(lambda x, y: torch.zeros_like(x), (1, 1), seed, torch.float32, torch.device("cpu"))
+        few = min(spp, _TRIED) if isinstance(spp, int) else spp
+        self._render(lambda x, y: torch.zeros_like(x), (1, 1), few, seed, torch.float32, torch.device("cpu"))
         for number, parameter in enumerate(self.filter.learned):
             if isinstance(parameter, torch.nn.Parameter):
                 self.register_parameter(f"filter_{number}", parameter)
@@ -167,18 +171,18 @@ class Supersampler(torch.nn.Module):
             follows = self.discontinuities and autocast.dtype is None and not isinstance(f, Texture)
             if follows and isinstance(self.estimator, Auto | JumpCorrected):
                 function = followed(task, function)
-            picture = self._render(function, self.size, seed, dtype, device)
+            picture = self._render(function, self.size, self.spp, seed, dtype, device)
         if replay is None or not replay.parameters:
             return picture
         return Replayed.apply(replay, picture, *replay.parameters)  # pyright: ignore[reportReturnType]
 
-    def _render(self, f: Function, size: tuple[int, int], seed: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    def _render(self, f: Function, size: tuple[int, int], spp: int, seed: int, dtype: torch.dtype, device: torch.device) -> Tensor:
         return render(
             f,
             size,
             filter=self.filter,
             estimator=self.estimator,
-            spp=self.spp,
+            spp=spp,
             extent=self._extent(),
             boundary=self.boundary,
             seed=seed,
