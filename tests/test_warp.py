@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import pytest
@@ -179,3 +180,14 @@ def test_bad_input_of_resize() -> None:
 def test_what_is_no_colour_to_fill_with_is_refused(fill: object) -> None:
     with pytest.raises(mcaa.McaaError, match="fill_value must be a tensor"):
         mcaa.warp_perspective(torch.rand(1, 3, 8, 9), torch.eye(3)[None], (4, 4), padding_mode="fill", fill_value=fill)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_users_compilation_does_not_look_inside() -> None:
+    src, eye = torch.rand(1, 2, 8, 9), torch.eye(3)[None]
+    warped = torch.compile(lambda t: mcaa.warp_perspective(t, eye, (5, 6)) + 1, backend="eager")
+    resized = torch.compile(lambda t: mcaa.resize(t, (5, 6)) + 1, backend="eager")
+    assert torch.equal(warped(src), mcaa.warp_perspective(src, eye, (5, 6)) + 1)
+    assert torch.equal(resized(src), mcaa.resize(src, (5, 6)) + 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warped(src + 1)

@@ -3,15 +3,33 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import threading
 from collections.abc import Callable
 from types import FunctionType
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 
 LIMIT = 90.0
 """Seconds that one compilation may take. A cold start of the compiler is 20 to 35 of them; a loop of f's that is unrolled may never end."""
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def uncompiled(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which a user's own `torch.compile` does not look into: it would take the library's code for the user's."""
+
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> R:
+        if torch.compiler.is_compiling():
+            eager: Any = torch.compiler.disable(function)
+            return eager(*args, **kwargs)
+        return function(*args, **kwargs)
+
+    return called
 
 
 class NotCompiled(Exception):

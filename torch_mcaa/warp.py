@@ -11,6 +11,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torch_mcaa.compiling import uncompiled
 from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, Shared
 from torch_mcaa.filters import Box, Filter, Gaussian
@@ -25,6 +26,7 @@ _MODES: dict[str, Interpolation] = {"nearest": "nearest", "bilinear": "bilinear"
 _RESIZE: dict[str, Interpolation] = {**_MODES, "nearest-exact": "nearest", "area": "nearest"}
 
 
+@uncompiled
 def warp_perspective(
     src: Tensor,
     M: Tensor,
@@ -137,6 +139,7 @@ def warp_affine(
     )
 
 
+@uncompiled
 def resize(
     input: Tensor,
     size: int | tuple[int, int],
