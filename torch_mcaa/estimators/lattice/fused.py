@@ -48,7 +48,7 @@ class Weighed:
 
 
 _APART = 4
-"""Planes of a window that are weighed before one sum waits for another; even."""
+"""Planes of a window that are weighed before one sum waits for another, on a CPU; even. A GPU has other sums to do meanwhile."""
 
 
 class Fused:
@@ -72,6 +72,7 @@ class Fused:
         # a cell begins anywhere in a strip
         blocks, self.lead = -(-(height + period - 1) // period), -(-self.reach // period)
         step, start, length = _windows(count, period, max(task.filter.radius))
+        apart = _APART if task.device.type == "cpu" else 1
         # whole strips above and below that hold the windows of a strip's rows
         below = start + (period - 1) * step + length - count
         self.lead = max(self.lead, -(start // count), -(-below // count))
@@ -90,15 +91,15 @@ class Fused:
         ones = torch.stack([sums[:, start + r * step : start + r * step + length] for r in range(period)], 1)
         alternating = 1.0 - 2.0 * (torch.arange(length) % 2)
         response = torch.stack([ones[0] * alternating, ones[1], ones[1] * alternating]).mul(windows).sum(2)
-        # (4, period, length / 4): planes i, i + 4, ... of a window
-        windows = windows.unflatten(1, (-1, _APART)).movedim(2, 0)
+        # (4, period, length / 4): planes i, i + 4, ... of a window; (1, period, length) on a GPU
+        windows = windows.unflatten(1, (-1, apart)).movedim(2, 0)
         # float64 columns (planes, columns) and rows (strips, planes) from where a cell and its first strip begin
         cols = torch.arange(-self.reach, width + self.reach) + torch.from_numpy(strip.x[self.order])[:, None]
         rows = torch.arange(self.strips)[:, None] * period + torch.from_numpy(strip.y[self.order])
         self._cols, self._rows = cols.to(task.device), rows.to(task.device)
         self.constants = [t.to(task.device, task.dtype).contiguous() for t in (along_x, signs, windows, response)]
         shape = (self.strips, count, width + 2 * self.reach)
-        windows_of = (blocks, period, length), (start, step)
+        windows_of = (blocks, period, length // apart), (start, step, apart)
         self.graph = _graph(task.integrand.function, shape, *windows_of, width, audit is not None, task.dtype)
 
     @staticmethod
@@ -175,7 +176,7 @@ def _kernel(
     f: Function,
     shape: tuple[int, int, int],
     windows: tuple[int, int, int],
-    origin: tuple[int, int],
+    origin: tuple[int, int, int],
     width: int,
     audited: bool,
     dtype: torch.dtype,
@@ -185,8 +186,8 @@ def _kernel(
     The compiler writes a loop over short sums that it would vectorise, and none over stacked ones: one tensor a channel, columns last.
     """
     _, planes, cols = shape
-    (blocks, period, length), (start, step) = windows, origin
-    strides, reach = (planes * width, step * width, _APART * width, 1), (cols - width) // 2
+    (blocks, period, length), (start, step, apart) = windows, origin
+    strides, reach = (planes * width, step * width, apart * width, 1), (cols - width) // 2
 
     def kernel(
         x: Tensor, y: Tensor, taps: Tensor, signs: Tensor, weights: Tensor, response: Tensor, *off: Tensor
@@ -201,9 +202,13 @@ def _kernel(
             even, odd = parts
             both, sums = torch.stack([even + odd, (even - odd) * signs[:, None]]), []
             for j in range(2):
-                origins = [j * even.numel() + (start + i) * width for i in range(_APART)]
-                windows = [both.as_strided((blocks, period, length // _APART, width), strides, at) for at in origins]
+                origins = [j * even.numel() + (start + i) * width for i in range(apart)]
+                windows = [both.as_strided((blocks, period, length, width), strides, at) for at in origins]
                 terms = [window * row[None, :, :, None] for window, row in zip(windows, weights.unbind(0))]
+                if apart == 1:
+                    turned = terms[0] * (1 - 2 * (torch.arange(length, device=even.device) % 2))[:, None]
+                    sums += [terms[0].sum(2), turned.sum(2)]
+                    continue
                 # in one loop: both sums read what the other does
                 halves = [sum(terms[k + 2 :: 2], terms[k]) for k in range(2)]
                 sums += [(halves[0] + halves[1]).sum(2), (halves[0] - halves[1]).sum(2)]
