@@ -72,3 +72,14 @@ def test_a_close_look_takes_single_pieces_for_what_they_are() -> None:
     # 0.2 px wide, x / 0.96 along it: 24 rows
     truth, error = 24 * 0.2 / 0.96**2, float(all_of_them.std()) / math.sqrt(40)
     assert abs(float(all_of_them.mean()) - truth) < 4.42 * error
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 1), (3, 3)])
+@pytest.mark.parametrize("boundary", ["extend", "zero"])
+def test_screens_of_few_pixels(size: tuple[int, int], boundary: str) -> None:
+    for seed in range(4):
+        share = torch.tensor(0.4, requires_grad=True)
+        layer = mcaa.Supersampler(size, spp=30, boundary=boundary, seed=seed, estimator=mcaa.Shared())  # pyright: ignore[reportArgumentType]
+        layer(stripes(0.13)(share)).sum().backward()
+        # none where no line met an edge
+        assert share.grad is None or share.grad.isfinite()

@@ -130,8 +130,8 @@ def elements(
     if len(blocks.numbers):
         every = found.brackets
         scans = [(found.take(~blocks.hold(every.axis, every.low, every.across)), most, 1.0)]
-        found = finely(asked, blocks, cols, rows, max(_FEWEST, most // _DEARER), seed, closed)
-        scans += [(worthwhile(asked, found, most // 2, seed), most // 2, 1 / FINE)]
+        fine = finely(asked, blocks, cols, rows, max(_FEWEST, most // _DEARER), seed, closed)
+        scans += [] if fine is None else [(worthwhile(asked, fine, most // 2, seed), most // 2, 1 / FINE)]
     # what is known of a change while it is looked for is five times as much as of an element
     parts = [
         _weighed(refined(asked, part, many, seed), lines, length)

@@ -121,8 +121,8 @@ def _met(cut: Tensor, signature: Tensor, line: Tensor, place: Tensor) -> Tensor:
 
 def finely(
     asked: Asked, blocks: Blocks, cols: tuple[int, int], rows: tuple[int, int], most: int, seed: int, closed: bool
-) -> Segments:
-    """The changes in about `most` segments of those that `scan` has in the blocks, at random, in parts of 1 / `FINE` px.
+) -> Segments | None:
+    """The changes in about `most` segments of those that `scan` has in the blocks, at random, in parts of 1 / `FINE` px; None if it has none.
 
     With those in the parts beside the segments, not `own`. Their lines are numbered by the segments.
     """
@@ -141,8 +141,11 @@ def finely(
         own = torch.ones_like(none, dtype=torch.bool)
         chosen.append(Brackets(none + axis, lie + (number + off) / lines, low, low + 1, none, none, none, own, own.double(), none))
     whole = joined(chosen).thinned(most, seed)
+    # on a screen of a pixel there may be no lines beside
+    if len(whole) == 0:
+        return None
     found, step = [], max(1, asked.at_once // (FINE + 3))
-    for start in range(0, max(1, len(whole)), step):
+    for start in range(0, len(whole), step):
         some = whole.some(slice(start, start + step))
         place = some.low + torch.arange(-1, FINE + 2, device=asked.device)[:, None] / FINE
         values, seen, place = _asked(asked, some, place, closed)
