@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 
 import pytest
@@ -80,6 +81,9 @@ def test_screens_of_few_pixels(size: tuple[int, int], boundary: str) -> None:
     for seed in range(4):
         share = torch.tensor(0.4, requires_grad=True)
         layer = mcaa.Supersampler(size, spp=30, boundary=boundary, seed=seed, estimator=mcaa.Shared())  # pyright: ignore[reportArgumentType]
-        layer(stripes(0.13)(share)).sum().backward()
-        # none where no line met an edge
+        picture = layer(stripes(0.13)(share)).sum()
+        with warnings.catch_warnings():
+            # none where no line met an edge
+            warnings.filterwarnings("ignore", "no gradient reaches")
+            picture.backward()
         assert share.grad is None or share.grad.isfinite()
