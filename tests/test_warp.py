@@ -182,6 +182,11 @@ def test_what_is_no_colour_to_fill_with_is_refused(fill: object) -> None:
         mcaa.warp_perspective(torch.rand(1, 3, 8, 9), torch.eye(3)[None], (4, 4), padding_mode="fill", fill_value=fill)  # pyright: ignore[reportArgumentType]
 
 
+def test_a_size_that_is_none_is_told_before_the_colour() -> None:
+    with pytest.raises(mcaa.McaaError, match="size must be two integers"):
+        mcaa.warp_perspective(torch.rand(1, 3, 8, 9), torch.eye(3)[None], 5, padding_mode="fill", fill_value=torch.rand(3))  # pyright: ignore[reportArgumentType]
+
+
 def test_a_users_compilation_does_not_look_inside() -> None:
     src, eye = torch.rand(1, 2, 8, 9), torch.eye(3)[None]
     warped = torch.compile(lambda t: mcaa.warp_perspective(t, eye, (5, 6)) + 1, backend="eager")

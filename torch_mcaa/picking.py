@@ -1,4 +1,4 @@
-"""Taking some of many along the last axis, several times faster than indexing does."""
+"""Taking some of many along the last axis, several times faster than indexing does, and which of them: by groups, at random."""
 
 from __future__ import annotations
 
@@ -9,6 +9,15 @@ from torch import Tensor
 def numbers(index: Tensor) -> Tensor:
     """Integers (N,): those at which a bool index is true, or the index itself."""
     return index.nonzero()[:, 0] if index.dtype == torch.bool else index
+
+
+def ranked(group: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(N,) the elements by group, and in it by a (random) number; (N,) the rank of each of these in its group, and (N,) how many it has."""
+    order = torch.argsort(number, stable=True)
+    order = order[torch.argsort(group[order], stable=True)]
+    counts = torch.unique_consecutive(group[order], return_counts=True)[1]
+    rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts).repeat_interleave(counts)
+    return order, rank, counts.repeat_interleave(counts)
 
 
 def pick(values: Tensor, index: Tensor) -> Tensor:

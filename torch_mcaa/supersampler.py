@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.arguments import task_of
+from torch_mcaa.compiling import uncompiled
 from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, JumpCorrected
 from torch_mcaa.estimators.base import Task
@@ -113,6 +114,7 @@ class Supersampler(torch.nn.Module):
             if isinstance(parameter, torch.nn.Parameter):
                 self.register_parameter(f"filter_{number}", parameter)
 
+    @uncompiled
     def forward(self, f: Function | Tensor, call: int | None = None) -> Tensor:
         """The picture of f, (C, H, W), or the pictures (B, C, H, W) of textures (B, C, h, w) that cover the screen once, bilinear.
 
@@ -129,12 +131,6 @@ class Supersampler(torch.nn.Module):
                 backward pass: f raised, changed since the forward pass, or used tensors it had not used before; a second derivative was
                 asked for.
         """
-        if torch.compiler.is_compiling():
-            eager: Any = torch.compiler.disable(self._forward)
-            return eager(f, call)
-        return self._forward(f, call)
-
-    def _forward(self, f: Function | Tensor, call: int | None) -> Tensor:
         if transformed() or torch.autograd.forward_ad._current_level >= 0:
             raise McaaError(
                 "the layer has a backward pass of its own and works with torch.autograd: loss.backward() or torch.autograd.grad(); it was called "

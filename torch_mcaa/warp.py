@@ -65,9 +65,9 @@ def warp_perspective(
     if not (isinstance(M, Tensor) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
         raise McaaError(f"M must be a tensor (B, 3, 3), got {_told(M)}")
     _check(src, M, padding_mode)
+    layer = _layer(dsize, filter, spp, seed)
     if fill_value is not None:
         _check_fill(fill_value, (max(len(src), len(M)), src.shape[1], *dsize))
-    layer = _layer(dsize, filter, spp, seed)
     interpolation = _looked_up(mode, _MODES, "mode")
     if padding_mode == "fill":
         # a channel of ones tells how much of each pixel is the source's

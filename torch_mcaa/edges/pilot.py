@@ -12,6 +12,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, bisect_all, placed
 from torch_mcaa.edges.candidates import Segments
 from torch_mcaa.edges.lines import Ask
+from torch_mcaa.picking import ranked
 from torch_mcaa.sums import add_at
 
 _PILOT = 0x91107
@@ -154,10 +155,7 @@ class _Look:
     def at(cls, segments: Segments, where: Tensor, parts: int, most: int, seed: int) -> _Look:
         """At most so many of each part, at random."""
         hits = torch.bincount(where[segments.single], minlength=parts).to(torch.float64) / 2
-        order = torch.argsort(rng.bits(seed, _PILOT, segments.axis, segments.stream))
-        order = order[torch.argsort(where[order], stable=True)]
-        counts = torch.bincount(where, minlength=parts)
-        rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[where[order]]
+        order, rank, _ = ranked(where, rng.bits(seed, _PILOT, segments.axis, segments.stream))
         chosen = order[rank < most]
         some = segments.take(chosen)
         which = torch.arange(1, 5, device=some.low.device)[:, None]

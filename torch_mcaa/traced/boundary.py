@@ -24,7 +24,7 @@ from torch_mcaa.traced.asked import Asked, Tally
 from torch_mcaa.traced.crowded import FINE, crowded, finely
 from torch_mcaa.traced.once import zero_with_gradient
 from torch_mcaa.traced.program import Program, probe
-from torch_mcaa.traced.refine import Changes, refined, thinned, worthwhile
+from torch_mcaa.traced.refine import Changes, on_some_lines, refined, worthwhile
 from torch_mcaa.traced.scan import scan, share
 from torch_mcaa.traced.shared import shared
 from torch_mcaa.traced.visitors import Margins
@@ -35,8 +35,8 @@ _FLAT = 1e-12
 """A change that is none, in magnitudes of f there."""
 _FEWEST = 256
 """At least so many segments, and four a pixel, are followed."""
-_DEARER = 8
-"""Of the segments that may be followed, one in so many may be looked at closely."""
+_CUT = 8
+"""Of the segments that may be followed, one in so many may be cut finely in their place."""
 _SOME = 1 << 13
 """Segments that are followed together."""
 _FLAT_MARGIN = (
@@ -130,13 +130,13 @@ def elements(
     if len(blocks.numbers):
         every = found.brackets
         scans = [(found.take(~blocks.hold(every.axis, every.low, every.across)), most, 1.0)]
-        fine = finely(asked, blocks, cols, rows, max(_FEWEST, most // _DEARER), seed, closed)
+        fine = finely(asked, blocks, cols, rows, max(_FEWEST, most // _CUT), seed, closed)
         scans += [] if fine is None else [(worthwhile(asked, fine, most // 2, seed), most // 2, 1 / FINE)]
     # what is known of a change while it is looked for is five times as much as of an element
     parts = [
         _weighed(refined(asked, part, many, seed), lines, length)
         for found, many, length in scans
-        for part in thinned(found, many, seed).by_lines(_SOME)
+        for part in on_some_lines(found, many, seed).by_lines(_SOME)
     ]
     jump, at, rival = (torch.cat([part[k] for part in parts], 1) for k in (2, 6, 9))
     col, row, weight, cause, branch, flat, leap = (torch.cat([part[k] for part in parts]) for k in (0, 1, 3, 4, 5, 7, 8))

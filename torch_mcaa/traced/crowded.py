@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.picking import numbers, pick
+from torch_mcaa.picking import numbers, pick, ranked
 from torch_mcaa.traced.asked import Asked
-from torch_mcaa.traced.scan import Brackets, Segments, joined, share
+from torch_mcaa.traced.scan import Brackets, Segments, differing, held, joined, share, together
 from torch_mcaa.traced.visitors import Causes
 
 FINE = 8
@@ -55,12 +55,8 @@ def _block(axis: int | Tensor, along: Tensor, across: Tensor, lines: int) -> Ten
 def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) -> Blocks:
     """The blocks in which changes crowd, by what the lines beside tell; `found`: the segments of 1 px that differ, on `lines` lines a pixel."""
     block = _block(found.axis, found.low, found.across, lines)
-    key = 2 * block + found.axis
-    order = torch.argsort(found.numbers(seed), stable=True)
-    order = order[torch.argsort(key[order], stable=True)]
-    counts = torch.unique_consecutive(key[order], return_counts=True)[1]
-    rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts).repeat_interleave(counts)
-    chosen = rank < (counts // _EACH).clamp_min(1).repeat_interleave(counts)
+    order, rank, count = ranked(2 * block + found.axis, found.numbers(seed))
+    chosen = rank < (count // _EACH).clamp_min(1)
     order, rank = order[chosen], rank[chosen]
     looked, block = found.take(order), block[order]
     # what segments seldom meet lies elsewhere on their lines
@@ -76,7 +72,11 @@ def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) 
         some = looked.some(part)
         phase = rng.uniform(seed, _CLOSE, some.numbers(seed), dtype=torch.float64)
         place = some.low - 1 + (torch.arange(-1, count - 1, device=phase.device)[:, None] + phase) / _PARTS
-        _, seen, place = _asked(asked, some, place, closed)
+        if closed:
+            place = held(asked, some.axis, place)
+        col, row = some.places(place)
+        shape = (count, len(some))
+        _, seen = asked.run(col.flatten(), row.flatten(), lambda shape=shape: Causes(shape, 0, False, asked.device), coarse=True)
         signature = seen.signatures(place.numel()).view(place.shape)
         differs = signature[1:] != signature[:-1]
         before, after = seen.margin.view(2, *differs.shape)
@@ -94,17 +94,6 @@ def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) 
         other[part][line[off]] = True
     # the lines beside
     return Blocks((block[other] ^ 1).unique(), lines)
-
-
-def _asked(asked: Asked, lines: Brackets, place: Tensor, closed: bool) -> tuple[Tensor, Causes, Tensor]:
-    """f's values at places (K, N) on the lines, what changes between one and the next, and the places: inside a `closed` screen."""
-    if closed:
-        wide = torch.where(lines.axis == 0, asked.screen.width, asked.screen.height).to(place.dtype)
-        place = torch.minimum(place.clamp_min(0), wide * (1 - 2.0**-50))
-    col, row = lines.places(place)
-    shape = (len(place), len(lines))
-    values, seen = asked.run(col.flatten(), row.flatten(), lambda: Causes(shape, 0, False, asked.device), coarse=True)
-    return values, seen, place
 
 
 def _met(cut: Tensor, signature: Tensor, line: Tensor, place: Tensor) -> Tensor:
@@ -133,33 +122,23 @@ def finely(
         low, lie = (t.flatten().repeat_interleave(lines) for t in torch.meshgrid(begin, level, indexing="ij"))
         number = torch.arange(lines, device=asked.device).repeat(len(low) // lines)
         # those of the block that their pixel is in
-        held = numbers(blocks.hold(axis, low, lie + (number + 0.5) / lines))
-        low, lie, number = (pick(each, held) for each in (low, lie, number))
+        inside = numbers(blocks.hold(axis, low, lie + (number + 0.5) / lines))
+        low, lie, number = (pick(each, inside) for each in (low, lie, number))
         keys = axis, low.long(), lie.long(), number
         phase, off = (rng.uniform(seed, _FINELY, which, *keys, dtype=torch.float64) for which in (0, 1))
         low, none = low + phase, torch.zeros_like(number)
         own = torch.ones_like(none, dtype=torch.bool)
         chosen.append(Brackets(none + axis, lie + (number + off) / lines, low, low + 1, none, none, none, own, own.double(), none))
     whole = joined(chosen).thinned(most, seed)
+    parts, found, step = torch.arange(-1, FINE + 2, device=asked.device) / FINE, [], max(1, asked.at_once // (FINE + 3))
+    for axis in range(2):
+        some = whole.take(whole.axis == axis)
+        for start in range(0, len(some), step):
+            part = some.some(slice(start, start + step))
+            place = part.low[:, None] + parts
+            found.append(differing(asked, axis, part.across, place, axis * len(whole) + start, closed))
     # on a screen of a pixel there may be no lines beside
-    if len(whole) == 0:
+    if not found:
         return None
-    found, step = [], max(1, asked.at_once // (FINE + 3))
-    for start in range(0, len(whole), step):
-        some = whole.some(slice(start, start + step))
-        place = some.low + torch.arange(-1, FINE + 2, device=asked.device)[:, None] / FINE
-        values, seen, place = _asked(asked, some, place, closed)
-        signature = seen.signatures(place.numel()).view(place.shape)
-        part, line = (signature[1:] != signature[:-1]).nonzero().unbind(1)
-        at = part * len(some) + line
-        low, high, before, after = (pick(t.flatten(), at) for t in (place[:-1], place[1:], signature[:-1], signature[1:]))
-        kept, inside = some.take(line), (part > 0) & (part <= FINE)
-        brackets = Brackets(kept.axis, kept.across, low, high, before, after, line + start, inside, kept.chance, kept.group)
-        change = (values[:, len(some) :] - values[:, : -len(some)]).abs().amax(0)
-        found.append(
-            Segments(brackets, seen.cause[at], seen.differing[at], seen.branch[at], pick(seen.margin, at), pick(change, at))
-        )
-    cause, differing, branch, change = (
-        torch.cat([getattr(f, n) for f in found]) for n in ("cause", "differing", "branch", "change")
-    )
-    return Segments(joined([f.brackets for f in found]), cause, differing, branch, torch.cat([f.margin for f in found], 1), change)
+    every = together(found)
+    return replace(every, brackets=replace(every.brackets, chance=every.brackets.chance * whole.chance[0]))

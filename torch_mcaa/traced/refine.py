@@ -88,7 +88,7 @@ class Changes:
         )
 
 
-def thinned(found: Segments, most: int, seed: int) -> Segments:
+def on_some_lines(found: Segments, most: int, seed: int) -> Segments:
     """The segments or, of more than `most`, those of some lines at random, which count for the others: all of a line, for how thin a piece is
     both its ends tell.
     """

@@ -128,7 +128,6 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
     """
     found, count = [], 0
     for axis, along, across in ((0, cols, rows), (1, rows, cols)):
-        size = (asked.screen.width, asked.screen.height)
         pixel = torch.arange(*across).repeat_interleave(lines)
         number = torch.arange(lines).repeat(across[1] - across[0])
         shift = rng.uniform(seed, _SCAN, axis, dtype=torch.float64)
@@ -139,19 +138,29 @@ def scan(asked: Asked, cols: tuple[int, int], rows: tuple[int, int], lines: int,
         many = max(1, asked.at_once // len(start))
         for first in range(0, len(lie), many):
             part = slice(first, first + many)
-            place = start + phase[part, None]
-            if closed:
-                place = place.clamp(0, size[axis] * (1 - 2.0**-50))
-            found.append(_differing(asked, axis, lie[part], place, count + first))
+            found.append(differing(asked, axis, lie[part], start + phase[part, None], count + first, closed))
         count += len(lie)
+    return together(found)
+
+
+def together(found: list[Segments]) -> Segments:
+    """All the segments of the parts."""
     cause, differing, branch, change = (
         torch.cat([getattr(f, name) for f in found]) for name in ("cause", "differing", "branch", "change")
     )
     return Segments(joined([f.brackets for f in found]), cause, differing, branch, torch.cat([f.margin for f in found], 1), change)
 
 
-def _differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int) -> Segments:
-    """The segments that differ between neighbours among the places (lines, K) of each line."""
+def held(asked: Asked, axis: int | Tensor, place: Tensor) -> Tensor:
+    """Places along an axis, those beyond the screen at its border."""
+    size = torch.where(torch.as_tensor(axis, device=place.device) == 0, asked.screen.width, asked.screen.height).to(place.dtype)
+    return torch.minimum(place.clamp_min(0), size * (1 - 2.0**-50))
+
+
+def differing(asked: Asked, axis: int, lie: Tensor, place: Tensor, line0: int, closed: bool) -> Segments:
+    """The segments that differ between neighbours among the places (lines, K) of each line; the first and the last are not `own`."""
+    if closed:
+        place = held(asked, axis, place)
     level = lie[:, None].expand_as(place)
     col, row = (place, level) if axis == 0 else (level, place)
     shape = (len(place), place.shape[1])
