@@ -114,7 +114,7 @@ def test_every_evaluation_is_counted_and_blocks_are_small() -> None:
 REFUSED: dict[str, tuple[Returned, str]] = {
     "a python scalar": (lambda x, y: 0.5, r"shape \(256,\).*got float 0\.5.*full_like"),
     "none": (lambda x, y: None, "got NoneType"),
-    "an array": (lambda x, y: x.numpy(), "got ndarray"),
+    "an array": (lambda x, y: x.numpy(), "got a numpy array"),
     "too many points": (lambda x, y: torch.cat([x, y]), r"got a tensor of shape \(512,\)"),
     "a scalar tensor": (lambda x, y: x.sum(), r"got a tensor of shape \(\)"),
     "channels last": (lambda x, y: torch.stack([x, y], -1), r"\(C, 256\).*got a tensor of shape \(256, 2\)"),
@@ -195,7 +195,7 @@ def test_from_points() -> None:
         (lambda points: points[:-1], r"N = 256, got a tensor of shape \(255, 2\)"),
         (lambda points: points[None], r"got a tensor of shape \(1, 256, 2\)"),
         (lambda points: 0.0, "got float 0.0"),
-        (lambda points: points.numpy(), "got ndarray"),
+        (lambda points: points.numpy(), "got a numpy array"),
     ],
 )
 def test_from_points_refuses(out: Callable[[Tensor], Any], said: str) -> None:
@@ -273,7 +273,7 @@ def weights(filter: mcaa.Gaussian, x: Tensor, y: Tensor) -> Tensor:
 def test_raise_names_the_first_place(value: float, estimator: mcaa.Auto) -> None:
     f = Recorder(with_holes(in_pixels, value))
     with pytest.raises(
-        McaaError, match=r"channel 0\); mend f; render alone passes over .*nonfinite='ignore' or 'propagate'"
+        McaaError, match=r"channel 0\); mend f, or what it reads; render alone passes over .*nonfinite='ignore' or 'propagate'"
     ) as caught:
         mcaa.render(f, SIZE, estimator=estimator)
     told, x, y = re.findall(r"returned (.*?) at x = (.*?), y = (.*?) \(", str(caught.value))[0]
@@ -502,7 +502,7 @@ def test_one_bad_channel_spoils_the_sample_for_all() -> None:
 
 
 def test_numpy_scalars_are_described_in_one_piece() -> None:
-    with pytest.raises(McaaError, match="got ndarray") as caught:
+    with pytest.raises(McaaError, match="got a numpy array") as caught:
         mcaa.render(lambda x, y: np.zeros(1000), SIZE)
     assert len(str(caught.value)) < 400
 

@@ -484,8 +484,14 @@ class TestBadInput:
         elsewhere = torch.tensor(3.0, device="meta", requires_grad=True)
         with pytest.raises(McaaError, match=r"pictures are on cpu, and f uses a tensor of shape \(\) on meta; move one"):
             layer(lambda x, y: x * elsewhere)
-        with pytest.raises(McaaError, match="tensors on meta have none; move the textures"):
+        with pytest.raises(McaaError, match="dense floating tensor.*on meta, where there are no values"):
             layer(torch.zeros(1, 1, 4, 4, device="meta"))
+        for textures in (
+            torch.nested.nested_tensor([torch.zeros(1, 4, 4)], layout=torch.jagged),
+            torch.zeros(1, 1, 4, 4).to_sparse(),
+        ):
+            with pytest.raises(McaaError, match="dense floating tensor.*, got a (nested tensor|.*layout torch.sparse_coo)"):
+                layer(textures)
 
     def test_values_from_code_that_nobody_sees_are_no_silent_zero(self) -> None:
         radius = torch.tensor(3.0, requires_grad=True)

@@ -359,14 +359,14 @@ class TestKinds:
     @pytest.mark.parametrize(
         ("image", "message"),
         [
-            (np.zeros((2, 3), np.int64), r"ndarray of shape \(2, 3\) and dtype int64"),
+            (np.zeros((2, 3), np.int64), r"a numpy array of shape \(2, 3\) and dtype int64"),
             (torch.zeros(2, 3, dtype=torch.int32), "torch.int32"),
             (torch.zeros(2, 3, dtype=torch.complex64), "torch.complex64"),
             (np.zeros((2, 3), np.complex64), "dtype complex64"),
             (np.array([["a"]]), "dtype <U1"),
-            ([[0.0, 1.0]], "got list"),
+            ([[0.0, 1.0]], "got a list"),
             (None, "got NoneType"),
-            (torch.zeros(3), r"got Tensor of shape \(3,\)"),
+            (torch.zeros(3), r"got a tensor of shape \(3,\)"),
             (torch.zeros(1, 3, 4, 4), r"\(1, 3, 4, 4\)"),
             (torch.zeros(3, 0, 4), r"\(3, 0, 4\)"),
             (np.zeros((0, 4, 4)), r"\(0, 4, 4\)"),

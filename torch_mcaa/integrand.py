@@ -10,6 +10,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from torch_mcaa.dense import described
 from torch_mcaa.errors import McaaError
 
 Function = Callable[[Tensor, Tensor], Any]
@@ -67,7 +68,7 @@ class Integrand:
                     first = tuple((~torch.isfinite(value)).nonzero()[0].tolist())
                     raise McaaError(
                         f"f returned {float(value[first])} at x = {float(x[first]):.9g}, y = {float(y.expand(x.shape)[first]):.9g} "
-                        f"(channel {channel}); mend f; render alone passes over such samples, by nonfinite='ignore' or 'propagate'"
+                        f"(channel {channel}); mend f, or what it reads; render alone passes over such samples, by nonfinite='ignore' or 'propagate'"
                     )
         return values
 
@@ -122,7 +123,7 @@ def from_points(network: Callable[[Tensor], Tensor]) -> Function:
         points = torch.stack([x.reshape(-1), y.reshape(-1)], -1)
         out = network(points if parameter is None else points.to(parameter.dtype))
         if not isinstance(out, Tensor) or out.ndim not in (1, 2) or out.shape[0] != x.numel():
-            raise McaaError(f"a function on points must return (N, C) or (N,) with N = {x.numel()}, got {_describe(out)}")
+            raise McaaError(f"a function on points must return (N, C) or (N,) with N = {x.numel()}, got {described(out)}")
         return tuple(channel.reshape(x.shape) for channel in out.reshape(x.numel(), -1).unbind(-1))
 
     return f
@@ -159,13 +160,13 @@ def as_channels(returned: object, x: Tensor) -> Sequence[object]:
         return returned
     raise McaaError(
         f"f must return a tensor of its input's shape {tuple(x.shape)}, a tuple of C such tensors, or one of shape (C, {len(x)}); "
-        f"got {_describe(returned)}; for a constant return torch.full_like(x, value)"
+        f"got {described(returned)}; for a constant return torch.full_like(x, value)"
     )
 
 
 def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
     if not isinstance(value, Tensor) or value.shape != x.shape:
-        raise McaaError(f"each channel that f returns must be a tensor of shape {tuple(x.shape)}, got {_describe(value)}")
+        raise McaaError(f"each channel that f returns must be a tensor of shape {tuple(x.shape)}, got {described(value)}")
     if value.device != x.device:
         raise McaaError(
             f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}"
@@ -175,11 +176,3 @@ def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
     if value.is_complex():
         raise McaaError(f"f returned {value.dtype}; a colour is real: return the real part, the modulus, or both as channels")
     return value.to(dtype).contiguous()
-
-
-def _describe(value: object) -> str:
-    if isinstance(value, Tensor):
-        return f"a tensor of shape {tuple(value.shape)}"
-    if isinstance(value, (tuple, list)):
-        return f"a {type(value).__name__} of {len(value)}"
-    return f"{type(value).__name__} {value!r}"[:120]

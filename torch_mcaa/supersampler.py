@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.arguments import task_of
 from torch_mcaa.compiling import uncompiled
+from torch_mcaa.dense import dense, described
 from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, JumpCorrected
 from torch_mcaa.estimators.base import Task
@@ -139,19 +140,17 @@ class Supersampler(torch.nn.Module):
         seed = (self.seed + self._number(call)) % 2**64
         if not isinstance(f, Tensor):
             return self._picture(f, seed, self._like.dtype, self._like.device)
-        if f.ndim != 4 or not f.is_floating_point() or f.numel() == 0:
+        if not dense(f) or f.ndim != 4 or not f.is_floating_point() or f.numel() == 0:
             raise McaaError(
-                f"textures must be a floating tensor (B, C, h, w) that is not empty, got shape {tuple(f.shape)} and dtype {f.dtype}; "
-                "for one of (C, h, w) pass Texture(image)"
+                f"textures must be a dense floating tensor (B, C, h, w) that is not empty, got {described(f)}; for one of (C, h, w) pass "
+                "Texture(image)"
             )
         texture = Texture(f.flatten(0, 1))
         return self._picture(texture, seed, texture.image.dtype, f.device).to(f.dtype).unflatten(0, f.shape[:2])
 
     def _picture(self, f: Function, seed: int, dtype: torch.dtype, device: torch.device) -> Tensor:
         if device.type == "meta":
-            raise McaaError(
-                "a picture needs values, and tensors on meta have none; move the textures, or the layer, to another device"
-            )
+            raise McaaError("a picture needs values, and tensors on meta have none; move the layer to another device")
         if isinstance(f, torch.nn.Module):
             for name, tensor in f.named_parameters():
                 if tensor.device != device:

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from torch_mcaa.dense import dense, described
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 
@@ -215,14 +216,12 @@ def _blend(taps: Sequence[Tensor], weights: tuple[Tensor, ...]) -> Tensor:
 
 
 def _as_image(image: Tensor | np.ndarray) -> Tensor:
-    got = type(image).__name__
-    if isinstance(image, (Tensor, np.ndarray)):
-        got += f" of shape {tuple(image.shape)} and dtype {image.dtype}"
+    got = described(image)
     if isinstance(image, np.ndarray) and image.dtype.kind in "bfu" and image.dtype.itemsize <= 8:
         # torch takes native byte order and positive strides only, and warns of read-only arrays
         image = torch.from_numpy(np.require(image, image.dtype.newbyteorder("="), ["C", "W"]))
-    if not isinstance(image, Tensor) or image.dtype not in (torch.float32, torch.float64, *_FULL_SCALE):
-        raise McaaError(f"image must be a float, uint8, uint16 or bool tensor or array, got {got}; cast it")
+    if not dense(image) or image.dtype not in (torch.float32, torch.float64, *_FULL_SCALE):
+        raise McaaError(f"image must be a dense float, uint8, uint16 or bool tensor or array, got {got}; cast it")
     if image.ndim not in (2, 3) or image.numel() == 0:
         raise McaaError(f"image must be (C, H, W) or (H, W) and not empty, got {got}; permute or index it")
     if image.dtype in _FULL_SCALE:
@@ -236,9 +235,8 @@ def _as_transform(transform: Tensor | ArrayLike) -> Tensor:
         given = transform if isinstance(transform, Tensor) else torch.from_numpy(np.array(transform))
     except (TypeError, ValueError) as error:
         raise McaaError(f"transform must be numbers, got {transform!r} ({error}); pass floats") from error
-    if given.shape != (3, 3) or given.is_complex():
-        got = f"shape {tuple(given.shape)} and dtype {given.dtype}"
-        raise McaaError(f"transform must be 3 x 3 and real, got {got}; pass one such matrix")
+    if not dense(given) or given.shape != (3, 3) or given.is_complex():
+        raise McaaError(f"transform must be 3 x 3 and real, got {described(given)}; pass one such matrix")
     scaled = given.detach().double().cpu()
     # rows and columns brought to one size, so that units or a large translation do not look degenerate
     for dim in (1, 0):

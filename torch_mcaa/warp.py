@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.compiling import uncompiled
+from torch_mcaa.dense import dense, described
 from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, Shared
 from torch_mcaa.filters import Box, Filter, Gaussian
@@ -62,9 +63,9 @@ def warp_perspective(
     Raises:
         McaaError: an argument that cannot be used, among them an M that is not invertible.
     """
-    if not (isinstance(M, Tensor) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
-        raise McaaError(f"M must be a tensor (B, 3, 3), got {_told(M)}")
-    _check(src, M, padding_mode)
+    if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
+        raise McaaError(f"M must be a dense tensor (B, 3, 3), got {described(M)}")
+    _check(src, M, padding_mode, align_corners)
     layer = _layer(dsize, filter, spp, seed)
     if fill_value is not None:
         _check_fill(fill_value, (max(len(src), len(M)), src.shape[1], *dsize))
@@ -90,12 +91,12 @@ def warp_perspective(
 
 def _check_fill(fill_value: object, shape: tuple[int, ...]) -> None:
     """Raises McaaError for one that is no colour of pictures of this shape."""
-    if isinstance(fill_value, Tensor) and not fill_value.is_complex() and fill_value.device.type != "meta":
+    if dense(fill_value) and not fill_value.is_complex():
         given = tuple(fill_value.shape)
         if given in ((), (1,), shape[1:2]) or (len(given) == 4 and all(a in (1, b) for a, b in zip(given, shape, strict=True))):
             return
     raise McaaError(
-        f"fill_value must be a tensor ({shape[1]},), a number for each channel, or one that broadcasts to {shape}, got {_told(fill_value)}"
+        f"fill_value must be a tensor ({shape[1]},), a number for each channel, or one that broadcasts to {shape}, got {described(fill_value)}"
     )
 
 
@@ -121,8 +122,8 @@ def warp_affine(
     Raises:
         McaaError: as `warp_perspective`.
     """
-    if not (isinstance(M, Tensor) and M.ndim == 3 and M.shape[-2:] == (2, 3)):
-        raise McaaError(f"M must be a tensor (B, 2, 3), got {_told(M)}")
+    if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (2, 3)):
+        raise McaaError(f"M must be a dense tensor (B, 2, 3), got {described(M)}")
     last = torch.tensor([0.0, 0.0, 1.0]).to(M).expand(len(M), 1, 3)
     return warp_perspective(
         src,
@@ -171,8 +172,8 @@ def resize(
     Raises:
         McaaError: an argument that cannot be used.
     """
-    if not isinstance(input, Tensor) or input.ndim < 2 or not input.is_floating_point() or input.numel() == 0:
-        raise McaaError(f"input must be a floating tensor (..., H, W) that is not empty, got {_told(input)}")
+    if not dense(input) or input.ndim < 2 or not input.is_floating_point() or input.numel() == 0:
+        raise McaaError(f"input must be a dense floating tensor (..., H, W) that is not empty, got {described(input)}")
     height, width = input.shape[-2:]
     if isinstance(size, int):
         size = _of_side(size, width / height, side)
@@ -198,7 +199,10 @@ def _of_side(length: int, aspect: float, side: str) -> tuple[int, int]:
 
 def _to_source(matrix: Tensor, size: tuple[int, int]) -> Tensor:
     """From places of the result to those of the source, both with pixel centres at halves."""
-    if not bool(matrix.isfinite().all()) or float(torch.linalg.det(matrix.detach().double())) == 0:
+    scaled = matrix.detach().double()
+    # a homography is one whatever its matrix is multiplied by
+    scaled = scaled / scaled.abs().amax()
+    if not float(torch.linalg.det(scaled).abs()) > 0:
         raise McaaError(f"M must be finite and invertible, got {matrix.tolist()}")
     half = torch.tensor([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]], dtype=torch.float64, device=matrix.device)
     back = half @ torch.linalg.inv(matrix.double()) @ torch.linalg.inv(half)
@@ -236,11 +240,13 @@ def _of(layer: Supersampler, texture: Texture, estimator: Estimator | None, like
     return layer.to(texture.image.device, texture.image.dtype)(texture).to(like.dtype)
 
 
-def _check(src: object, M: Tensor, padding_mode: str) -> None:
-    if not isinstance(src, Tensor) or src.ndim != 4 or not src.is_floating_point() or src.numel() == 0:
-        raise McaaError(f"src must be a floating tensor (B, C, H, W) that is not empty, got {_told(src)}")
+def _check(src: object, M: Tensor, padding_mode: str, align_corners: object) -> None:
+    if not dense(src) or src.ndim != 4 or not src.is_floating_point() or src.numel() == 0:
+        raise McaaError(f"src must be a dense floating tensor (B, C, H, W) that is not empty, got {described(src)}")
     if len(M) not in (1, len(src)):
         raise McaaError(f"src has {len(src)} pictures and M {len(M)} maps; give one map for each, or one for all")
+    if align_corners not in (True, False):
+        raise McaaError(f"align_corners must be True or False, got {align_corners!r}")
     if M.device != src.device:
         raise McaaError(f"src is on {src.device}, M on {M.device}; move one")
     if padding_mode not in ("zeros", "border", "reflection", "fill"):
@@ -248,10 +254,6 @@ def _check(src: object, M: Tensor, padding_mode: str) -> None:
 
 
 def _looked_up(name: str, known: dict[str, Interpolation], argument: str) -> Interpolation:
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise McaaError(f"{argument} must be one of {', '.join(known)}, got {name!r}")
     return known[name]
-
-
-def _told(value: object) -> str:
-    return f"a tensor of shape {tuple(value.shape)} and dtype {value.dtype}" if isinstance(value, Tensor) else f"{value!r}"[:120]

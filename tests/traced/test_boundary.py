@@ -297,6 +297,39 @@ def test_margins_that_cannot_be_followed_are_said_with_their_line() -> None:
     assert len(met) == 0 and "jumps there, before any decision" in met.problems[0]
 
 
+WITHOUT_RULE: dict[str, Callable[[Tensor], Tensor]] = {
+    "isnan": lambda d: torch.sqrt(d).isnan(),
+    "isfinite": lambda d: torch.log(d).isfinite(),
+    "isneginf": lambda d: torch.log(torch.relu(d)).isneginf(),
+    "nan_to_num": lambda d: torch.nan_to_num(torch.sqrt(d) * 0 + 1),
+    "ne": lambda d: (lambda root: root != root)(torch.sqrt(d)),
+    "any": lambda d: torch.relu(d)[:, None].any(1),
+    "count_nonzero": lambda d: torch.count_nonzero(torch.relu(d)[:, None], 1),
+    "logical_and": lambda d: torch.logical_and(torch.relu(d), torch.ones_like(d)),
+    "isin": lambda d: torch.isin(torch.relu(d), torch.zeros(1, dtype=d.dtype)),
+    "frexp": lambda d: torch.frexp(torch.relu(d) + 1 + (d > 9))[0] * (torch.frexp(1 + d / 4)[1] > 0),
+    "__setitem__": lambda d: _assigned(d),
+}
+
+
+def _assigned(d: Tensor) -> Tensor:
+    out = torch.zeros_like(d, dtype=torch.bool)
+    out[:] = torch.relu(d)
+    return out
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", WITHOUT_RULE)
+def test_operations_that_decide_and_have_no_margin_are_said_with_their_line(name: str) -> None:
+    """Beside a texture, of which bisection by values would see more than of the jump."""
+    radius = parameter()
+    met = elements(
+        lambda x, y: WITHOUT_RULE[name](torch.hypot(x - 5, y - 5) - radius) + 50 * torch.sin(7 * x) * torch.sin(5 * y),
+        *(SCREEN, CELL, FILTER, 0),
+    )
+    assert any(__file__ in problem and f": {name} decides by something" in problem for problem in met.problems)
+
+
 def test_no_state_is_changed() -> None:
     radius = parameter()
     before = torch.get_rng_state(), torch.is_grad_enabled(), torch.get_default_dtype()

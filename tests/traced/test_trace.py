@@ -78,6 +78,19 @@ def test_the_first_decision_that_differs_is_the_cause() -> None:
     assert torch.allclose(found.margin[:, :3], torch.stack([row(-0.1, -0.025, -0.1), row(0.1, 0.025, 0.1)]))
 
 
+def test_a_decision_with_a_margin_is_the_cause_before_one_without() -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        value = torch.sqrt(3 - x)
+        return torch.where(value.isnan(), 0.0, 1.0) + torch.where(x < 3, value.nan_to_num(), 2.0) + (x < 3.5)
+
+    found = causes(f, [2.9, 3.1], [3.1, 3.6])
+    assert [site.name for site in program_of(f).sites] == ["isnan", "lt", "nan_to_num", "lt"]
+    assert found.cause.tolist() == [1, 3]
+    assert torch.allclose(found.margin, torch.stack([row(-0.1, -0.4), row(0.1, 0.1)]))
+    alone = causes(lambda x, y: torch.sqrt(3 - x).isnan().double(), [2.9, 3.1], [3.1, 3.6])
+    assert alone.cause.tolist() == [0, -1] and bool((alone.margin == 0).all())
+
+
 LAYOUTS: dict[str, Function] = {
     "points": lambda x, y: torch.stack([(x - 3 > 0).double(), (x - 5 > 0).double()]).sum(0),
     "(points, lanes)": lambda x, y: (x[:, None] - row(3, 5) > 0).sum(1),

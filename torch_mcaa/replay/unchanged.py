@@ -67,7 +67,8 @@ def _asked(f: Function, x: Tensor, y: Tensor) -> list[Tensor]:
     margins: list[Tensor] = []
 
     def visit(number: int, decision: Decision, func: Any) -> None:
-        margins.append((decision.values if isinstance(decision, Choice) else decision.margin()).detach().clone())
+        margin = decision.values if isinstance(decision, Choice) else decision.margin and decision.margin()
+        margins.append((decision.codes if margin is None else margin).detach().clone())
 
     def watched(x: Tensor, y: Tensor) -> Any:
         with eagerly(), Watch(visit):

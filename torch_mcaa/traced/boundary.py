@@ -40,8 +40,8 @@ _CUT = 8
 _SOME = 1 << 13
 """Segments that are followed together."""
 _FLAT_MARGIN = (
-    "decides by something that has no derivative by x and y (detached, or computed where no gradient follows); its part of the gradient is "
-    "left out"
+    "decides by something that has no derivative by x and y (detached, computed where no gradient follows, or inside the operation); its part "
+    "of the gradient is left out"
 )
 _LEAP = "decides by something that jumps there, before any decision that the trace saw; its part of the gradient is left out"
 
@@ -171,9 +171,9 @@ def _weighed(changes: Changes, lines: int, length: float) -> tuple[Tensor, ...]:
     # 1995, the power heuristic); scaled, so that no cube under- or overflows
     most = slope.amax(0)
     size = most * (slope / most).pow(3).sum(0) / (changes.along(slope) / most).square()
-    jump = (changes.values[:, 1] - changes.values[:, 0]) * torch.sign(after - before)
-    changed = brackets.own & (changes.cause >= 0) & (jump.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
-    flat, leap = changed & changes.flat, changed & changes.leap
+    step = changes.values[:, 1] - changes.values[:, 0]
+    changed = brackets.own & (changes.cause >= 0) & (step.abs() > _FLAT * changes.values.abs().amax(1)).any(0)
+    flat, leap = changed & (changes.flat | (before == after)), changed & changes.leap
     some = (changed & ~flat & ~leap & size.isfinite()).nonzero()[:, 0]
     # a margin that jumps with an edge that stays where it is stays there too
     flat, leap = flat & ~changes.behind, leap & ~changes.behind
@@ -183,7 +183,7 @@ def _weighed(changes: Changes, lines: int, length: float) -> tuple[Tensor, ...]:
     return (
         col[some],
         row[some],
-        jump[:, some],
+        (step * torch.sign(after - before))[:, some],
         weight[some],
         changes.cause[some],
         changes.branch[some],

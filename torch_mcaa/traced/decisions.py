@@ -17,17 +17,19 @@ from torch.overrides import TorchFunctionMode, handle_torch_function, has_torch_
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.traced.inside import transformed
+from torch_mcaa.traced.nested import tensors_in
 
 
 @dataclass(frozen=True)
 class Level:
     """An operation that changes where a margin crosses zero.
 
-    codes: what it decided, integers or bool of any shape; margin: a function that gives the margin, of a shape that expands to theirs.
+    codes: what it decided, integers or bool of any shape; margin: a function that gives the margin, of a shape that expands to theirs, None
+        where no rule says what crosses zero.
     """
 
     codes: Tensor
-    margin: Callable[[], Tensor]
+    margin: Callable[[], Tensor] | None
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,27 @@ _IN_PLACE = ("iadd", "isub", "imul", "idiv", "itruediv", "ifloordiv", "imod", "i
 def rule_of(function: Any) -> Rule | None:
     """The rule for a function that `__torch_function__` is given, None if it decides nothing."""
     return None if getattr(function, "__name__", "") in ESCAPES else _RULES.get(name_of(function))
+
+
+def unruled(function: Any, args: Sequence[Any], kwargs: Arguments, result: Any) -> Level | None:
+    """What an operation without a rule decided, if it makes whole numbers or bools of floating ones: where it changes, but no margin."""
+    name = name_of(function)
+    # a view shows the bits of a number, which change everywhere
+    if name in ESCAPES or name == "view" or made_like(function):
+        return None
+    codes = next((t for t in tensors_in(args[0] if in_place(function) else result) if t.dtype in _WHOLE), None)
+    if codes is None or not any(_floating(given) for given in tensors_in((args, kwargs))):
+        return None
+    return Level(codes, None)
+
+
+_WHOLE = (torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
+
+
+def made_like(function: Any) -> bool:
+    """Whether of the function's first argument nothing but the type and the shape matter, as of x in x.new_tensor(3.0)."""
+    name = getattr(function, "__name__", "")
+    return name.startswith("new_") or name.endswith("_like")
 
 
 _SIGN = 1e-4
@@ -121,7 +144,8 @@ def _compare(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | 
     a, b = args[0], _argument(args, kwargs, 1, "other")
     if not (_floating(a) or _floating(b)) or not isinstance(result, Tensor):
         return None
-    return Level(result, lambda: _number(a) - _number(b))
+    # of a != a, which tells NaN, there is no margin
+    return Level(result, None if a is b else lambda: _number(a) - _number(b))
 
 
 def _number(value: Any) -> Any:
@@ -218,6 +242,16 @@ def _cast(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | Non
     return Level(result, lambda: _fraction(a))
 
 
+def _taken(place: int, *names: str) -> Rule:
+    """Numbers that are taken over as they are, or cast."""
+
+    def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+        given = _argument(args, kwargs, place, *names)
+        return _cast([given], kwargs, args[0] if result is None else result)
+
+    return rule
+
+
 def _indices(number: int, default: Any) -> Rule:
     """Functions of (values, dim) that return indices, or (values, indices); `number`: the place of `dim` among the arguments."""
 
@@ -237,6 +271,9 @@ def _indices(number: int, default: Any) -> Rule:
 def _cut(y: Tensor, x: Tensor) -> Level:
     """The branch cut of the angle of (x, y): y = 0 where x < 0. At x = 0 only the code changes."""
     code = (x < 0).to(torch.int64) * (1 + (y < 0).to(torch.int64))
+    if not transformed() and not bool(y.any()):
+        # of a number without an imaginary part the angle is a sign
+        return Level(code, lambda: x)
     return Level(code, lambda: torch.where(x.detach().abs() < y.detach().abs(), x, y))
 
 
@@ -267,13 +304,17 @@ def _tan(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None
 
 
 def _search(boundaries: Tensor, values: Any, result: Any) -> Decision | None:
-    if not _floating(values) or boundaries.ndim != 1:
+    if not _floating(values):
         return None
 
     def margin() -> Tensor:
         # the nearest boundary is one of the two beside the value
-        place = result.clamp(1, len(boundaries) - 1) if len(boundaries) > 1 else torch.ones_like(result)
-        below, above = values - boundaries[place - 1], values - boundaries[place.clamp(max=len(boundaries) - 1)]
+        count = boundaries.shape[-1]
+        place = result.clamp(1, count - 1) if count > 1 else torch.ones_like(result)
+        below, above = (
+            values - (boundaries[at] if boundaries.ndim == 1 else boundaries.gather(-1, at))
+            for at in (place - 1, place.clamp(max=count - 1))
+        )
         return torch.where(below.detach().abs() < above.detach().abs(), below, above)
 
     return Level(result, margin)
@@ -299,9 +340,9 @@ def _threshold(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision 
 
 def _grid_sample(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
     image, grid = args[0], _argument(args, kwargs, 1, "grid")
-    if _argument(args, kwargs, 2, "mode", default="bilinear") != "nearest" or image.ndim != 4:
+    if _argument(args, kwargs, 2, "mode", default="bilinear") != "nearest":
         return None
-    size = torch.tensor([image.shape[3], image.shape[2]], dtype=grid.dtype, device=grid.device)
+    size = torch.tensor(image.shape[:1:-1], dtype=grid.dtype, device=grid.device)
     aligned = _argument(args, kwargs, 4, "align_corners", default=False)
     texel = (grid + 1) / 2 * (size - 1) if aligned else ((grid + 1) * size - 1) / 2
     return Level(texel.detach().round(), lambda: _fraction(texel + 0.5))
@@ -356,6 +397,9 @@ _RULES: dict[str, Rule] = {
     **dict.fromkeys(("sign", "sgn", "signbit", "heaviside"), _sign()),
     "copysign": _sign(1),
     **dict.fromkeys(("bool", "logical_not", "logical_and", "logical_or", "logical_xor"), _nonzero),
+    **dict.fromkeys(("as_tensor", "asarray", "tensor"), _taken(0, "data", "obj")),
+    **dict.fromkeys(("new_tensor", "copy"), _taken(1, "data", "src")),
+    "nan_to_num": lambda args, kwargs, result: Level(args[0].isfinite(), None) if _floating(args[0]) else None,
     **dict.fromkeys(("to", "int", "long", "short", "char", "byte", "type", "type_as"), _cast),
     **dict.fromkeys(("argmin", "argmax", "min", "max", "cummin", "cummax"), _indices(1, None)),
     **dict.fromkeys(("sort", "argsort", "median", "nanmedian", "mode"), _indices(1, -1)),

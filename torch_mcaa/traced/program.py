@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,8 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
-from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, name_of
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, made_like, name_of
+from torch_mcaa.traced.nested import tensors_in
 from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where
 from torch_mcaa.traced.transforms import held
 
@@ -155,8 +156,7 @@ class _Probe(Watch):
         given = list(tensors_in((args, kwargs)))
         stranger = bool(given) and _store(given[0]) not in self._stores
         depends, name = 0, getattr(func, "__name__", "")
-        # of x.new_tensor(3.0) and torch.full_like(x, 3.0) nothing but the type and the shape are x's
-        made = name.startswith("new_") or name.endswith("_like")
+        made = made_like(func)
         for place, tensor in enumerate(given):
             origin = self._origin(tensor, name_of(func))
             depends |= 0 if made and place == 0 else origin
@@ -241,17 +241,6 @@ def _custom(func: Any) -> bool:
     """Whether a function is an operator that was registered with PyTorch by somebody else."""
     name = getattr(func, "_qualified_op_name", None) or (func.name() if isinstance(func, torch._ops.OpOverload) else "")
     return "::" in name and name.split("::")[0] not in _OURS
-
-
-def tensors_in(value: Any) -> Iterator[Tensor]:
-    """The tensors in nested tuples, lists and dictionaries."""
-    if isinstance(value, Tensor):
-        yield value
-    elif isinstance(value, (tuple, list)):
-        for part in value:
-            yield from tensors_in(part)
-    elif isinstance(value, dict):
-        yield from tensors_in(list(value.values()))
 
 
 def _reaches(tensor: Tensor, leaves: Sequence[Tensor]) -> bool:

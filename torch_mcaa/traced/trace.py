@@ -18,7 +18,7 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import HOMES, McaaError
-from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, called, in_place, rule_of
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, called, in_place, rule_of, unruled
 from torch_mcaa.traced.inside import transformed
 from torch_mcaa.traced.transforms import beyond, outside
 
@@ -58,13 +58,17 @@ class Watch(TorchFunctionMode):
             if getattr(func, "__name__", "") in ESCAPES and args and args[0].requires_grad:
                 # an array of a tensor with a gradient is refused, and f may never have been given one
                 args = [args[0].detach(), *args[1:]]
-            return func(*args, **kwargs)
+            result = func(*args, **kwargs)
+            return self._met(unruled(func, args, kwargs, result), func, result)
         given = args if args else [kwargs["input"]] if "input" in kwargs else []
         if in_place(func) or "out" in kwargs:
             # the margin is of what was there before
             given = [a.clone() if isinstance(a, Tensor) else a for a in given]
         result = called(func, args, kwargs)
-        decision = rule(given, kwargs, result)
+        return self._met(rule(given, kwargs, result) or unruled(func, args, kwargs, result), func, result)
+
+    def _met(self, decision: Decision | None, func: Any, result: Any) -> Any:
+        """The result, after a visit of the decision, if it is one."""
         if decision is not None:
             decision = outside(decision) if transformed() else decision
             with beyond():
@@ -116,6 +120,11 @@ class Lanes:
     def __init__(self, decision: Decision, axis: int) -> None:
         self.decision, self.axis = decision, axis
 
+    @property
+    def blind(self) -> bool:
+        """Whether nothing is known that crosses zero where the codes change."""
+        return isinstance(self.decision, Level) and self.decision.margin is None
+
     def codes(self) -> Tensor:
         """(points, lanes) bool, or whole numbers of any type."""
         return self._by_point(self.decision.codes)
@@ -130,6 +139,7 @@ class Lanes:
                 values = self._by_point(decision.values.movedim(decision.dim, -1), self._chosen_axis(), 1)
                 group = lane // decision.codes.shape[decision.dim]
                 return values[point, group, high] - values[point, group, low]
+            assert decision.margin is not None
             return self._by_point(decision.margin().expand(decision.codes.shape))[point, lane]
 
     def _chosen_axis(self) -> int:

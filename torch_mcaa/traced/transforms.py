@@ -36,6 +36,8 @@ def outside(decision: Decision) -> Decision:
     if isinstance(decision, Choice):
         values = behind(decision.values)
         return Choice(codes, values, decision.dim + values.ndim - decision.values.ndim)
+    if decision.margin is None:
+        return Level(codes, None)
     with torch.enable_grad():
         margin = behind(decision.margin().expand(decision.codes.shape))
     return Level(codes, _given(margin))

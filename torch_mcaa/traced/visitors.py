@@ -53,10 +53,11 @@ def _factor(number: int, lane: int) -> int:
 
 
 class Causes(Signatures):
-    """A visitor: the first moving decision in which neighbours differ, of points (R, K) laid out in one row: pairs along `axis`, n of them.
+    """A visitor: the first moving decision in which neighbours differ, of points (R, K) in one row: pairs along `axis`, n of them.
 
     Attributes:
-        cause: (n,) its number, -1 where none differs; branch: (n, 3) lane and codes at the first and at the second.
+        cause: (n,) its number, -1 where none differs, and one that has a margin before all that have none; branch: (n, 3) lane and codes at the
+            first and at the second.
         margin: (2, n) of that decision, at both points; total: their sum, with a graph, if `sloped`.
         differing: (n,) int64, a bit for each decision that differs; number `MANY` and all after it have one bit.
         behind: (n,) bool, if `sloped`: one that does not move differs before it, so that its margin may jump.
@@ -77,6 +78,7 @@ class Causes(Signatures):
         self.behind = torch.zeros(self.pairs, dtype=torch.bool, device=device)
         self.rival = self.cause.new_full((4, self.pairs), -1)
         self._met: list[int] = []
+        self._blind = torch.zeros_like(self.behind)
 
     def __call__(self, number: int, lanes: Lanes, site: Site) -> None:
         if not (site.moves or self.sloped):
@@ -91,12 +93,12 @@ class Causes(Signatures):
         new = (differs[:, 0] if differs.shape[1] == 1 else differs.any(1)).nonzero()[:, 0]
         if site.moves and len(new):
             self.differing[new] |= 1 << min(number, MANY)
-            if self.sloped:
+            if self.sloped and not lanes.blind:
                 beside = self._beside(number, site, new, differs)
                 # the last lane: a cause is the first
                 lane = differs.shape[1] - 1 - differs[beside].flip(1).to(torch.int8).argmax(1)
                 self.rival[:, beside] = torch.cat([torch.full_like(lane, number)[None], self._branch(codes, beside, lane).T])
-        new = new[self.cause[new] < 0]
+        new = new[(self.cause[new] < 0) | (self._blind[new] & (not lanes.blind))]
         if not site.moves:
             self.behind[new] = True
             return
@@ -104,6 +106,9 @@ class Causes(Signatures):
             return
         self.cause[new] = number
         branch = self.branch[new] = self._branch(codes, new, differs[new].to(torch.int8).argmax(1))
+        self._blind[new] = lanes.blind
+        if lanes.blind:
+            return
         margin = lanes.margin(torch.cat(self._ends(new)), branch.repeat(2, 1), self.sloped)
         self.margin[:, new] = margin.detach().to(torch.float64).view(2, -1)
         if self.sloped:
@@ -143,7 +148,7 @@ class Margins(Signatures):
 
     def __call__(self, number: int, lanes: Lanes, site: Site) -> None:
         super().__call__(number, lanes, site)
-        if number in self.wanted:
+        if number in self.wanted and not lanes.blind:
             point = (self.cause == number).nonzero()[:, 0]
             with torch.set_grad_enabled(self.graph):
                 margin = lanes.margin(point, self.branch[point], self.graph).to(torch.float64)

@@ -47,7 +47,8 @@ def crossings(ask: Counted, segments: Segments, seed: int) -> tuple[Crossings, S
 
 def _crossings(ask: Counted, segments: Segments, seed: int) -> tuple[Crossings, Segments]:
     found = _differing(ask, segments)
-    met = found.cause >= 0
+    # where nothing crosses zero, bisection of values tells the place
+    met = (found.cause >= 0) & (found.margin[0] != found.margin[1])
     changes = located(ask.decisions, found.take(met), seed)
     (before, after), (low, high) = changes.values.unbind(1), changes.margin
     some = ((after - before).abs() > _NONE * changes.values.abs().amax(1)).any(0)
