@@ -558,6 +558,7 @@ class TestBadInput:
         picture = mcaa.Supersampler(SIZE)(lambda x, y: (torch.hypot(x - 300, y - 2) < radius).to(x))
         with pytest.warns(McaaWarning, match="no jump that moves was met where f was seen to decide; check_discontinuities"):
             picture.sum().backward()
+        assert radius.grad is not None and float(radius.grad) == 0
 
     def test_statistics_of_a_module_in_training(self) -> None:
         norm, weight = torch.nn.BatchNorm1d(1), torch.tensor(2.0, requires_grad=True)

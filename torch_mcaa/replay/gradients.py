@@ -101,6 +101,10 @@ class Replay:
                 "no gradient reaches what f uses: its values have no slope, and no jump that moves was met where f was seen to decide; "
                 "check_discontinuities(f, size) finds jumps that no decision explains"
             )
+        if self.program is not None and self.program.moves:
+            # an edge that moves where no pixel is has a gradient of 0
+            some = zip(self.inputs.tensors, totals, strict=False)
+            totals[:count] = [torch.zeros_like(tensor) if total is None else total for tensor, total in some]
         return totals
 
     def _normed(self, grad: Tensor, strip: Strip) -> Tensor:
