@@ -19,6 +19,8 @@ from torch_mcaa.grid import Cell
 
 _CLASSES = 3
 """Steps of how much f changes in a block, by which blocks are sampled together."""
+_COARSEST = 3.0
+"""Evaluations a pixel: lattices of fewer points take a slope for detail, so that what is saved where f is smooth costs more than it gives."""
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
@@ -121,11 +123,24 @@ def _counts(parts: list[Poor], left: int, most: int | None, fewest: int) -> list
         each = (left + had) / total if most is None else min(most, (left + had) / total)
         mean = sum(n * part.spread for n, part in zip(pixels, parts, strict=True)) / total
         counts = [each * (1 + 2 * part.spread / mean) / 3 - part.had for part in parts]
+        if all(part.continuous and not part.had for part in parts):
+            counts = _raised(counts, pixels, min(_COARSEST, each))
         enough = [part.had > 0 and count < fewest for part, count in zip(parts, counts, strict=True)]
         if not any(enough):
             return [(part, max(float(fewest), count)) for part, count in zip(parts, counts, strict=True)]
         parts = [part for part, done in zip(parts, enough, strict=True) if not done]
     return []
+
+
+def _raised(counts: list[float], pixels: list[int], least: float) -> list[float]:
+    """The counts, none of them under `least`, which is no more than their mean; the others pay for it in proportion."""
+    low: list[bool] = []
+    while (lower := [count <= least for count in counts]) != low:
+        low = lower
+        paid = sum(n * (least - count) for n, count, under in zip(pixels, counts, low, strict=True) if under)
+        rest = sum(n * count for n, count, under in zip(pixels, counts, low, strict=True) if not under)
+        counts = [least if under else count * (1 - paid / rest) for count, under in zip(counts, low, strict=True)]
+    return counts
 
 
 def _share(first: Tensor, had: float, second: Tensor, more: float) -> float:
