@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,7 +30,8 @@ _CROSSING, _CROSSING_STEP, _TOLD = -5.0, 2.0, 20.0
 """Evaluations that a crossing takes in two shifts: so many, and for each halving of its bracket; and one that f's margins tell, which was measured to
 take 11 to 13: more lines for it would take more time and memory than the evaluations say."""
 _AGAIN = 0.75
-"""What a second shift takes, in parts of the first's cost."""
+"""What a second shift takes, in parts of the first's cost, where segments are halved most: then foretelling, which the second has more of, saves
+least."""
 _ENOUGH = 2e-5
 """A standard error that is not worth refining, in ranges of the cell's values."""
 _FINER = (3, 9)
@@ -163,7 +165,8 @@ class Corrector:
         whole = by_block(self.work.thin.lost, self.cell) == 0
         core = first.pixels.plane(first.core)
         count = self.base.count + self.unlike
-        cost = _AGAIN * count / self.base.count * spent + count * by_block(dilated(core, 2), self.cell)
+        again = _AGAIN * (_halvings(self.work.finest) + STEPS[-1]) / (STEPS[0] + STEPS[-1])
+        cost = again * count / self.base.count * spent + count * by_block(dilated(core, 2), self.cell)
         order = torch.argsort(cost)
         known = torch.zeros_like(cost, dtype=torch.bool)
         known[order] = (cost * whole)[order].cumsum(0) <= self.ask.left
@@ -283,3 +286,8 @@ def crossing(steps: int, told: Tensor) -> Tensor:
 def _finest(steps: int) -> float:
     """Px; the quarters of a segment are a little larger or smaller than one."""
     return 1.1 * 2.0**-steps
+
+
+def _halvings(finest: float) -> float:
+    """The steps of which `_finest` says how narrow brackets get."""
+    return math.log2(1.1 / finest)
