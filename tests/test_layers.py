@@ -19,7 +19,7 @@ import torch_mcaa
 ROOT = Path(torch_mcaa.__file__).parent
 # A module imports from floors below its own; the files of one folder import each other without a circle.
 FLOORS = (
-    {"errors", "picking", "sums"},
+    {"errors", "picking", "sums", "dense"},
     {"rng", "moments", "allocation", "compiling", "tolerance", "scene_file"},
     {"grid", "filters", "patterns", "strata"},
     {"densities", "integrand", "texture", "scenes"},

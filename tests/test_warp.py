@@ -154,6 +154,8 @@ def test_a_horizon_is_told() -> None:
         ({"src": torch.zeros(1, 3, 8, 8, device="meta")}, "src must be.*on meta, where there are no values"),
         ({"M": torch.eye(3)[None].to_sparse()}, "M must be a dense tensor"),
         ({"align_corners": "yes"}, "align_corners must be True or False, got 'yes'"),
+        ({"align_corners": torch.ones(2)}, "align_corners must be True or False"),
+        ({"M": torch.eye(3)[None] * 1j}, "M must be real"),
         ({"mode": ["bilinear"]}, "mode must be one of"),
         ({"M": torch.eye(3)[None].expand(3, -1, -1)}, "2 pictures and M 3 maps"),
         ({"M": torch.zeros(1, 3, 3)}, "invertible"),
@@ -173,6 +175,9 @@ def test_bad_input_of_resize() -> None:
     for given, said in (
         ({"input": torch.zeros(8)}, "input must be"),
         ({"side": "left"}, "side must be"),
+        ({"size": 2.5}, "size must be an integer or two integers"),
+        ({"align_corners": "yes"}, "align_corners must be True, False or None"),
+        ({"antialias": torch.ones(2)}, "antialias True or False"),
         ({"interpolation": "linear"}, "interpolation must be"),
     ):
         with pytest.raises(McaaError, match=said):

@@ -11,6 +11,7 @@ from torch_mcaa.estimators import Task
 from torch_mcaa.filters import Filter
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function, Integrand
+from torch_mcaa.rng import check_seed
 from torch_mcaa.texture import Texture
 
 
@@ -40,8 +41,7 @@ def task_of(
         raise McaaError(f"boundary must be 'extend', 'zero' or 'renormalize', got {boundary!r}")
     if nonfinite not in ("raise", "ignore", "propagate"):
         raise McaaError(f"nonfinite must be 'raise', 'ignore' or 'propagate', got {nonfinite!r}")
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64:
-        raise McaaError(f"seed must be an integer from 0 to 2^64 - 1, got {seed!r}")
+    check_seed(seed)
     if dtype not in (torch.float32, torch.float64):
         raise McaaError(f"dtype must be torch.float32 or torch.float64, got {dtype}; f itself may return any real dtype")
     if math.isinf(max(filter.radius)) and boundary != "zero":

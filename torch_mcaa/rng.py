@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torch_mcaa.errors import McaaError
 
-__all__ = ["bits", "uniform"]
+__all__ = ["bits", "check_seed", "uniform"]
 
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = 0x7FEB352D, 0x846CA68B
@@ -51,6 +51,12 @@ def uniform(seed: int, *keys: int | Tensor, dtype: torch.dtype = torch.float32) 
     # The low bits come from a second stream, not from `high`: else float64 would know only 2**32 values.
     low = _tensor(_hash(seed, (*_folded((_LOW,)), *folded)))
     return _logical_shift(high, 5).to(dtype).mul_(2.0**-27).add_(_logical_shift(low, 6), alpha=2.0**-53)
+
+
+def check_seed(seed: object) -> None:
+    """Raises McaaError for what is no seed."""
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**64:
+        raise McaaError(f"seed must be an integer from 0 to 2^64 - 1, got {seed!r}")
 
 
 def _hash(seed: int, folded: Sequence[int | Tensor]) -> int | Tensor:

@@ -88,7 +88,7 @@ class Supersampler(torch.nn.Module):
             raise McaaError(
                 "a layer cannot be made inside a transform of functions (torch.func.grad, vmap and the like); make it outside"
             )
-        if discontinuities not in ("auto", False):
+        if discontinuities is not False and not (isinstance(discontinuities, str) and discontinuities == "auto"):
             raise McaaError(f"discontinuities must be 'auto' or False, got {discontinuities!r}")
         for name, flag in (("redraw", redraw), ("decorrelate", decorrelate)):
             if not isinstance(flag, bool):

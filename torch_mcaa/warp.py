@@ -174,6 +174,12 @@ def resize(
     """
     if not dense(input) or input.ndim < 2 or not input.is_floating_point() or input.numel() == 0:
         raise McaaError(f"input must be a dense floating tensor (..., H, W) that is not empty, got {described(input)}")
+    if not isinstance(antialias, bool) or not (align_corners is None or isinstance(align_corners, bool)):
+        raise McaaError(
+            f"align_corners must be True, False or None, and antialias True or False, got {align_corners!r} and {antialias!r}"
+        )
+    if not isinstance(size, int | tuple | list):
+        raise McaaError(f"size must be an integer or two integers (height, width), got {size!r}")
     height, width = input.shape[-2:]
     if isinstance(size, int):
         size = _of_side(size, width / height, side)
@@ -245,8 +251,10 @@ def _check(src: object, M: Tensor, padding_mode: str, align_corners: object) -> 
         raise McaaError(f"src must be a dense floating tensor (B, C, H, W) that is not empty, got {described(src)}")
     if len(M) not in (1, len(src)):
         raise McaaError(f"src has {len(src)} pictures and M {len(M)} maps; give one map for each, or one for all")
-    if align_corners not in (True, False):
+    if not isinstance(align_corners, bool):
         raise McaaError(f"align_corners must be True or False, got {align_corners!r}")
+    if M.is_complex():
+        raise McaaError(f"M must be real, got {described(M)}")
     if M.device != src.device:
         raise McaaError(f"src is on {src.device}, M on {M.device}; move one")
     if padding_mode not in ("zeros", "border", "reflection", "fill"):

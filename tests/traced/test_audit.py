@@ -113,3 +113,9 @@ def test_what_is_no_function_is_refused() -> None:
         mcaa.check_discontinuities(3, (16, 16))  # pyright: ignore[reportArgumentType]
     with pytest.raises(mcaa.McaaError, match="size"):
         mcaa.check_discontinuities(lambda x, y: x, (0, 16))
+    with pytest.raises(mcaa.McaaError, match="f must return a tensor.*got NoneType"):
+        mcaa.check_discontinuities(lambda x, y: None, (16, 16))
+    with pytest.raises(mcaa.McaaError, match="seed must be an integer"):
+        mcaa.check_discontinuities(lambda x, y: x, (16, 16), seed="1")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(mcaa.McaaError, match="inside a transform"):
+        torch.vmap(lambda p: mcaa.check_discontinuities(lambda x, y: x * p, (16, 16)))(torch.ones(2))

@@ -150,6 +150,12 @@ def _made(x: Tensor, y: Tensor) -> Tensor:
     return (x > THETA) * torch.where(x.new_tensor(3.0) > 2, 1.0, 2.0) * (torch.ones_like(x[:1]) > 0.5)
 
 
+def _sorted(x: Tensor, y: Tensor) -> Tensor:
+    """Numbers in order are continuous wherever two of them change places, and poles and cuts of numbers are hardly met."""
+    first = torch.sort(torch.stack([THETA, 2 / THETA])).values[0]
+    return (x > first).float() * torch.stack([THETA, torch.atan2(THETA, 1 + THETA)]).max(0).values
+
+
 def _own_state(x: Tensor, y: Tensor) -> Tensor:
     x -= 3
     out = torch.zeros_like(x)
@@ -170,7 +176,7 @@ def _network() -> Function:
 
 
 @pytest.mark.parametrize(
-    "f", [disc, _vmap, _constants, _own_state, _made, _turned, _network(), mcaa.Texture(torch.rand(3, 13, 17), "nearest")]
+    "f", [disc, _vmap, _constants, _sorted, _own_state, _made, _turned, _network(), mcaa.Texture(torch.rand(3, 13, 17), "nearest")]
 )
 def test_nothing_is_said_of_what_is_in_order(f: Function) -> None:
     """13 and 17 are the probe's numbers of points: layers and textures of those sizes are not taken for points."""

@@ -31,7 +31,7 @@ def row(*values: float) -> Tensor:
 
 def signatures(f: Function, x: Tensor, y: Tensor) -> Tensor:
     seen = Signatures(CPU)
-    Traced(f, program_of(f).sites, seen)(x, y)
+    Traced(f, program_of(f), seen)(x, y)
     return seen.signatures(len(x))
 
 
@@ -39,7 +39,7 @@ def causes(f: Function, before: Sequence[float], after: Sequence[float]) -> Caus
     """At y = 1."""
     seen = Causes((2, len(before)), 0, False, CPU)
     x = row(*before, *after)
-    Traced(f, program_of(f).sites, seen)(x, torch.ones_like(x))
+    Traced(f, program_of(f), seen)(x, torch.ones_like(x))
     return seen
 
 
@@ -114,14 +114,14 @@ def test_margins_of_every_layout_cross_zero_at_the_change(layout: str) -> None:
     root = row(2.9, 2.99) + found.margin[0] / (found.margin[0] - found.margin[1]) * row(0.3, 0.02)
     assert torch.allclose(root, row(3, 3))
     seen = Margins(found.cause, found.branch, False)
-    Traced(f, program_of(f).sites, seen)(row(2.9, 2.99), row(1, 1))
+    Traced(f, program_of(f), seen)(row(2.9, 2.99), row(1, 1))
     assert torch.equal(seen.total, found.margin[0])
 
 
 def test_neighbours_in_rows_are_compared_within_rows() -> None:
     seen = Causes((2, 3), 1, False, CPU)
     x = row(0.6, 1.3, 1.6, 4.2, 4.3, 5.1)
-    Traced(cells, program_of(cells).sites, seen)(x, torch.ones_like(x))
+    Traced(cells, program_of(cells), seen)(x, torch.ones_like(x))
     assert seen.cause.tolist() == [0, -1, -1, 0]
     assert torch.allclose(seen.margin[:, [0, 3]], torch.stack([row(-0.4, 0.3), row(0.3, 0.1)]))
 
@@ -135,7 +135,7 @@ def test_margins_have_a_graph_through_no_grad_and_detached_results() -> None:
         return inside.double().detach()
 
     seen = Margins(torch.tensor([0]), torch.tensor([[0, 0, 1]]), True)
-    Traced(f, program_of(f).sites, seen)(row(3.0), row(0.0))
+    Traced(f, program_of(f), seen)(row(3.0), row(0.0))
     # x * x was made under no_grad; what is left is the comparison's operand
     assert not seen.total.requires_grad
 
@@ -145,7 +145,7 @@ def test_margins_have_a_graph_through_no_grad_and_detached_results() -> None:
             return (margin > 0).double()
 
     seen = Margins(torch.tensor([0]), torch.tensor([[0, 0, 1]]), True)
-    Traced(g, program_of(g).sites, seen)(row(3.0), row(0.0))
+    Traced(g, program_of(g), seen)(row(3.0), row(0.0))
     assert torch.autograd.grad(seen.total.sum(), edge)[0] == -1
 
 

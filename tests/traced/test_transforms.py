@@ -147,3 +147,52 @@ def test_a_checkpoint_around_a_slope_is_refused_by_name() -> None:
     layer, (f, _) = mcaa.Supersampler((8, 8)), _normal(p)
     with pytest.raises(mcaa.McaaError, match="saved tensor hooks"):
         checkpoint(lambda: layer(f), use_reentrant=False)
+
+
+def _slope(ramp: Callable[[Tensor], Tensor]) -> Callable[[Function], Function]:
+    """The derivative by x of a ramp of a function."""
+    return lambda h: lambda x, y: torch.vmap(torch.func.grad(lambda a, b: ramp(h(a, b))))(x, y)
+
+
+def _pushed(h: Function) -> Function:
+    return lambda x, y: torch.func.jvp(lambda a: torch.relu(h(a, y)), (x,), (torch.ones_like(x),))[1]
+
+
+def _by_autograd(h: Function) -> Function:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        with torch.enable_grad():
+            x = x.clone().requires_grad_()
+            return torch.autograd.grad(torch.relu(h(x, y)).sum(), x, create_graph=True)[0]
+
+    return f
+
+
+SLOPES: dict[str, Callable[[Function], Function]] = {
+    "relu": _slope(torch.relu),
+    "abs": _slope(lambda h: (h + h.abs()) / 2),
+    "maximum": _slope(lambda h: torch.maximum(h, torch.zeros_like(h))),
+    "min of two": _slope(lambda h: -torch.min(-h, torch.zeros_like(h))),
+    "max along an axis": _slope(lambda h: torch.stack([h, 0 * h]).max(0).values),
+    "clamp": _slope(lambda h: h.clamp(0, 99)),
+    "clamp by name": _slope(lambda h: torch.clamp(h, min=0.0)),
+    "clamp_min": _slope(lambda h: h.clamp_min(0)),
+    "clamp_max": _slope(lambda h: -torch.clamp_max(-h, 0)),
+    "hardtanh": _slope(lambda h: torch.nn.functional.hardtanh(h, 0.0, 99.0)),
+    "jvp": _pushed,
+    "autograd.grad": _by_autograd,
+}
+
+
+@pytest.mark.parametrize("name", SLOPES)
+@pytest.mark.filterwarnings("ignore:`torch.jit.script`:DeprecationWarning")
+def test_slopes_that_f_takes_jump_where_it_bends(name: str) -> None:
+    """As where the comparison is written out, on the same lines."""
+    loss = torch.linspace(0.2, 1, 100).view(1, 10, 10)
+    found = []
+    for make in (SLOPES[name], lambda h: lambda x, y: torch.where(h(x, y) > 0, 0.9, 0.0)):
+        p = torch.tensor(5.3, requires_grad=True)
+        layer = mcaa.Supersampler((10, 10), estimator=mcaa.Shared(), spp=16)
+        (layer(make(lambda x, y, p=p: 0.9 * x + 0.3 * y - p)) * loss).sum().backward()
+        assert p.grad is not None
+        found.append(float(p.grad))
+    assert found[0] == pytest.approx(found[1], rel=1e-5) and abs(found[1]) > 1

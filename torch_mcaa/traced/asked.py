@@ -83,7 +83,7 @@ class Asked:
 
     def _once(self, x: Tensor, y: Tensor, visitor: Callable[[], V], dtype: torch.dtype) -> tuple[Tensor, V]:
         seen = visitor()
-        traced = Traced(self.function, self.program.sites, seen)
+        traced = Traced(self.function, self.program, seen)
         values = Integrand(traced, torch.float64)(x.to(self.device, dtype), y.to(self.device, dtype))
         if traced.changed is not None:
             raise changed_program(traced.changed)

@@ -12,8 +12,10 @@ from torch_mcaa.errors import McaaError
 from torch_mcaa.filters import Box
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function
+from torch_mcaa.rng import check_seed
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.boundary import elements
+from torch_mcaa.traced.inside import transformed
 from torch_mcaa.traced.pieces import HALVED, Pieces, pieces
 from torch_mcaa.traced.program import Program, probe
 
@@ -125,7 +127,12 @@ def check_discontinuities(
     Raises:
         McaaError: f breaks its contract, or its Python control flow depends on values.
     """
+    if transformed():
+        raise McaaError(
+            "an audit cannot be made inside a transform of functions (torch.func.grad, vmap and the like); make it outside"
+        )
     screen, placed = Screen.of(size, extent), torch.device("cpu" if device is None else device)
+    check_seed(seed)
     if not callable(f):
         raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}")
     program = probe(f, screen, dtype, placed)

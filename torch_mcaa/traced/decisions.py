@@ -1,7 +1,7 @@
 """The operations of PyTorch that decide: what each decided for every point, and the margin that crosses zero where it decides otherwise.
 
 Only the position of a margin's zero and its slope's direction count: any increasing function of a margin serves as well. Operations that
-switch without a jump (`maximum`, `clamp`, `relu`, `abs`) are none.
+switch without a jump (`maximum`, `clamp`, `relu`, `abs`) are none, unless f takes derivatives, which jump there.
 """
 
 from __future__ import annotations
@@ -70,9 +70,12 @@ def in_place(function: Any) -> bool:
 _IN_PLACE = ("iadd", "isub", "imul", "idiv", "itruediv", "ifloordiv", "imod", "ipow", "iand", "ior", "ixor", "ilshift", "irshift")
 
 
-def rule_of(function: Any) -> Rule | None:
-    """The rule for a function that `__torch_function__` is given, None if it decides nothing."""
-    return None if getattr(function, "__name__", "") in ESCAPES else _RULES.get(name_of(function))
+def rule_of(function: Any, bends: bool = False) -> Rule | None:
+    """The rule for a function that `__torch_function__` is given, None if it decides nothing; `bends`: those that bend f count."""
+    if getattr(function, "__name__", "") in ESCAPES:
+        return None
+    name = name_of(function)
+    return (_BENDS.get(name) if bends or transformed() else None) or _RULES.get(name)
 
 
 def unruled(function: Any, args: Sequence[Any], kwargs: Arguments, result: Any) -> Level | None:
@@ -416,3 +419,49 @@ _RULES: dict[str, Rule] = {
     "grid_sample": _grid_sample,
     "level_set": _level_set,
 }
+
+
+def _bend(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    return Level(args[0] > 0, lambda: args[0]) if _floating(args[0]) else None
+
+
+def _larger(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+    """Of two tensors; along an axis it is the one that is chosen."""
+    a, b = args[0], _argument(args, kwargs, 1, "other", "dim")
+    if _floating(a) and _floating(b):
+        return Level(a > b, lambda: a - b)
+    return _indices(1, None)(args, kwargs, result) if not isinstance(result, Tensor) else None
+
+
+def _clamped(low: float | None = None, high: float | None = None) -> Rule:
+    """Two bends, at the limits that are given, or these."""
+
+    def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
+        a = args[0]
+        limits = (
+            _argument(args, kwargs, place, *names, default=default)
+            for place, names, default in ((1, ("min", "min_val"), low), (2, ("max", "max_val"), high))
+        )
+        ends = [limit for limit in limits if limit is not None]
+        if not _floating(a) or not ends:
+            return None
+
+        def margin() -> Tensor:
+            margins = torch.stack([a - end for end in ends])
+            return margins.gather(0, margins.detach().abs().argmin(0, keepdim=True))[0]
+
+        return Level(torch.stack([a > end for end in ends]).sum(0), margin)
+
+    return rule
+
+
+_BENDS: dict[str, Rule] = {
+    **dict.fromkeys(("abs", "absolute", "relu", "leaky_relu", "prelu", "elu"), _bend),
+    **dict.fromkeys(("maximum", "minimum", "fmax", "fmin", "max", "min"), _larger),
+    **dict.fromkeys(("clamp", "clip"), _clamped()),
+    "clamp_min": lambda args, kwargs, result: _clamped()([args[0], _argument(args, kwargs, 1, "min")], {}, result),
+    "clamp_max": lambda args, kwargs, result: _clamped()([args[0], None, _argument(args, kwargs, 1, "max")], {}, result),
+    "hardtanh": _clamped(-1.0, 1.0),
+    "relu6": _clamped(0.0, 6.0),
+}
+"""Operations that switch without a jump, and whose derivatives jump."""

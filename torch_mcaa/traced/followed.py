@@ -37,7 +37,7 @@ class Followed:
         from torch_mcaa.traced.visitors import Signatures
 
         seen = Signatures(x.device)
-        traced = Traced(self.function, self.program.sites, seen)
+        traced = Traced(self.function, self.program, seen)
         returned = traced(x, y)
         if traced.changed is not None:
             raise changed_program(traced.changed)

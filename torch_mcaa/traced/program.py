@@ -12,6 +12,7 @@ from torch import Tensor
 from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
+from torch_mcaa.integrand import as_channels
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, made_like, name_of
 from torch_mcaa.traced.nested import tensors_in
 from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where
@@ -24,16 +25,36 @@ _POINT, _PARAMETER = 1, 2
 _FIRST = 2
 """The bit of the first tensor that wants a gradient; that of the first decision is the next one, and so on by turns."""
 _OURS = ("aten", "prim", "prims", "quantized", "torchvision")
-_POLES = ("div", "divide", "true_divide", "reciprocal", "pow", "float_power", "tan")
+_SELDOM = (
+    "div",
+    "divide",
+    "true_divide",
+    "truediv",
+    "rdiv",
+    "rtruediv",
+    "reciprocal",
+    "pow",
+    "rpow",
+    "float_power",
+    "tan",
+    "atan2",
+    "arctan2",
+    "angle",
+)
+"""What has a pole or a branch cut, where a parameter hardly ever is."""
 
 
 @dataclass(frozen=True)
 class Program:
-    """The decisions of f in order; sentences about what the trace cannot follow, each with a line of the user's code; how many channels."""
+    """The decisions of f in order; sentences about what the trace cannot follow, each with a line of the user's code; how many channels.
+
+    bends: what bends f counts among the decisions, as f takes derivatives.
+    """
 
     sites: tuple[Site, ...]
     problems: tuple[str, ...]
     channels: int
+    bends: bool
 
     @property
     def moves(self) -> bool:
@@ -51,11 +72,12 @@ def _runs(
     screen: Screen,
     dtype: torch.dtype,
     device: torch.device,
+    bends: bool = False,
 ) -> tuple[_Probe, _Probe]:
-    first, second = (_Probe(count) for count in counts)
+    first, second = (_Probe(count, bends) for count in counts)
     for run in (first, second):
         run.call(function, screen, dtype, device)
-    return first, second
+    return (first, second) if first.bends == bends else _runs(counts, function, screen, dtype, device, True)
 
 
 @dataclass(frozen=True)
@@ -94,15 +116,16 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
         axis = axes[0] if len(axes) == 1 and axes[0] != one.dim else None
         sites.append(Site(one.name, one.where, axis, _every_other(one.depends >> _FIRST), _every_other(one.depends >> _FIRST + 1)))
-        if axis is None and one.name in _POLES:
+        if axis is None and one.name.strip("_") in _SELDOM:
             continue
         if axis is None and one.depends & _POINT:
             problems.append(
                 f"{one.where}: {one.name} mixes points, or takes some of them only, so that it has no margin at a point"
             )
-        elif axis is None and one.depends & _PARAMETER:
+        elif axis is None and one.depends & _PARAMETER and (one.dim is None or one.name.startswith("arg")):
+            # what is sorted or chosen by its own value is continuous
             problems.append(f"{one.where}: {one.name} decides on parameters alone, and jumps for all points at once")
-    return Program(tuple(sites), tuple(dict.fromkeys(problems)), first.channels)
+    return Program(tuple(sites), tuple(dict.fromkeys(problems)), first.channels, first.bends)
 
 
 def _every_other(bits: int) -> int:
@@ -112,9 +135,9 @@ def _every_other(bits: int) -> int:
 class _Probe(Watch):
     """Follows which tensors depend on the points and on parameters, and which came from nowhere."""
 
-    def __init__(self, points: int) -> None:
-        super().__init__(self._decided)
-        self.points = points
+    def __init__(self, points: int, bends: bool) -> None:
+        super().__init__(self._decided, bends)
+        self.points, self.bends = points, bends
         self.channels = 1
         self.met: list[_Met] = []
         self.problems: list[str] = []
@@ -145,8 +168,7 @@ class _Probe(Watch):
                     returned = function(x, y)
             except Exception as error:
                 raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {self.points} points") from error
-            # a tensor of one axis more than the points' has one for channels
-            self.channels = len(returned) if not isinstance(returned, Tensor) or returned.ndim > x.ndim else 1
+            self.channels = len(as_channels(returned, x))
             for tensor in tensors_in(returned):
                 self._origin(tensor, "what f returns")
 
@@ -165,6 +187,7 @@ class _Probe(Watch):
                 f"{where()}: {name} changes a tensor in place that f did not make, so that every call finds another one (statistics of a "
                 "module in training, such as BatchNorm's: call its eval())"
             )
+        self.bends |= func is torch.autograd.grad
         if name in ESCAPES:
             self._escaped(name, depends)
         if depends & _POINT and _custom(func):

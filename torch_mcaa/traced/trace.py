@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -21,6 +21,9 @@ from torch_mcaa.errors import HOMES, McaaError
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, called, in_place, rule_of, unruled
 from torch_mcaa.traced.inside import transformed
 from torch_mcaa.traced.transforms import beyond, outside
+
+if TYPE_CHECKING:
+    from torch_mcaa.traced.program import Program
 
 
 @dataclass(frozen=True)
@@ -44,16 +47,16 @@ class Site:
 
 
 class Watch(TorchFunctionMode):
-    """While it is active, `visit(number, decision)` is called for each decision, in f's order."""
+    """While it is active, `visit(number, decision)` is called for each decision, in f's order; with `bends` where f bends, too."""
 
-    def __init__(self, visit: Callable[[int, Decision, Any], None]) -> None:
+    def __init__(self, visit: Callable[[int, Decision, Any], None], bends: bool = False) -> None:
         super().__init__()
-        self._visit = visit
+        self._visit, self._bends = visit, bends
         self.number = 0
 
     def __torch_function__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: dict[str, Any] | None = None) -> Any:
         kwargs = kwargs or {}
-        rule = rule_of(func)
+        rule = rule_of(func, self._bends)
         if rule is None:
             if getattr(func, "__name__", "") in ESCAPES and args and args[0].requires_grad:
                 # an array of a tensor with a gradient is refused, and f may never have been given one
@@ -85,15 +88,15 @@ class Traced:
     """
 
     def __init__(
-        self, function: Callable[[Tensor, Tensor], Any], sites: Sequence[Site], visit: Callable[[int, Lanes, Site], None]
+        self, function: Callable[[Tensor, Tensor], Any], program: Program, visit: Callable[[int, Lanes, Site], None]
     ) -> None:
-        self.function, self.sites, self.visit = function, sites, visit
+        self.function, self.sites, self.bends, self.visit = function, program.sites, program.bends, visit
         self.points = 0
         self.changed: str | None = None
 
     def __call__(self, x: Tensor, y: Tensor) -> Any:
         self.points = len(x)
-        with eagerly(), Watch(self._decided) as watch:
+        with eagerly(), Watch(self._decided, self.bends) as watch:
             result = self.function(x, y)
         if watch.number != len(self.sites) and self.changed is None:
             last = self.sites[watch.number].where if watch.number < len(self.sites) else "its end"
