@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from torch_mcaa.charting import chart
     from torch_mcaa.supersampler import Supersampler
     from torch_mcaa.traced.audit import check_discontinuities
-    from torch_mcaa.traced.decisions import level_set
+    from torch_mcaa.traced.level_set import level_set
     from torch_mcaa.warp import resize, warp_affine, warp_perspective
 
 __version__ = "0.1.0"
@@ -52,7 +52,7 @@ _LATER = {
     "Supersampler": "supersampler",
     "chart": "charting",
     "check_discontinuities": "traced.audit",
-    "level_set": "traced.decisions",
+    "level_set": "traced.level_set",
     "resize": "warp",
     "warp_affine": "warp",
     "warp_perspective": "warp",

@@ -13,7 +13,8 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.grid import Screen
-from torch_mcaa.traced.decisions import in_place, name_of, rule_of
+from torch_mcaa.traced.decisions import in_place, name_of
+from torch_mcaa.traced.ruling import rule_of
 
 SCREEN = Screen.of((12, 12))
 FILTER = mcaa.Gaussian(0.5)

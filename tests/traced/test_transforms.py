@@ -173,6 +173,7 @@ SLOPES: dict[str, Callable[[Function], Function]] = {
     "maximum": _slope(lambda h: torch.maximum(h, torch.zeros_like(h))),
     "min of two": _slope(lambda h: -torch.min(-h, torch.zeros_like(h))),
     "max along an axis": _slope(lambda h: torch.stack([h, 0 * h]).max(0).values),
+    "amin of two": _slope(lambda h: -torch.stack([-h, 0 * h]).amin(0)),
     "clamp": _slope(lambda h: h.clamp(0, 99)),
     "clamp by name": _slope(lambda h: torch.clamp(h, min=0.0)),
     "clamp_min": _slope(lambda h: h.clamp_min(0)),

@@ -20,8 +20,8 @@ from torch.utils._pytree import tree_map_only
 
 from torch_mcaa.errors import McaaError
 from torch_mcaa.integrand import Function, Integrand
-from torch_mcaa.traced.decisions import called, lacks_derivative
 from torch_mcaa.traced.nested import tensors_in
+from torch_mcaa.traced.steps import called, lacks_derivative
 from torch_mcaa.traced.trace import eagerly
 from torch_mcaa.traced.transforms import held
 

@@ -24,8 +24,8 @@ from torch_mcaa.replay.moved import Moved
 from torch_mcaa.replay.samples import Samples, strip_of
 from torch_mcaa.replay.terms import Block, OfFilter, OfInputs, OfPlaces, Parts
 from torch_mcaa.replay.unchanged import Noted
-from torch_mcaa.traced.decisions import Called
 from torch_mcaa.traced.program import Program
+from torch_mcaa.traced.steps import Called
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ class Replay:
             )
         if self.program is not None and self.program.moves:
             # an edge that moves where no pixel is has a gradient of 0
-            some = zip(self.inputs.tensors, totals, strict=False)
-            totals[:count] = [torch.zeros_like(tensor) if total is None else total for tensor, total in some]
+            of_inputs = zip(self.inputs.tensors, totals[:count], strict=True)
+            totals[:count] = [torch.zeros_like(tensor) if total is None else total for tensor, total in of_inputs]
         return totals
 
     def _normed(self, grad: Tensor, strip: Strip) -> Tensor:

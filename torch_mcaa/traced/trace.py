@@ -18,8 +18,10 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import HOMES, McaaError
-from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, called, in_place, rule_of, unruled
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, in_place
 from torch_mcaa.traced.inside import transformed
+from torch_mcaa.traced.ruling import rule_of, unruled
+from torch_mcaa.traced.steps import called
 from torch_mcaa.traced.transforms import beyond, outside
 
 if TYPE_CHECKING:

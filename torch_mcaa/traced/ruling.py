@@ -1,0 +1,36 @@
+"""Which rule says what an operation decides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from torch_mcaa.traced.bends import BENDS
+from torch_mcaa.traced.decisions import ESCAPES, Arguments, Level, Rule, floating, in_place, made_like, name_of
+from torch_mcaa.traced.inside import transformed
+from torch_mcaa.traced.nested import tensors_in
+from torch_mcaa.traced.rules import RULES
+
+_WHOLE = (torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
+
+
+def rule_of(function: Any, bends: bool = False) -> Rule | None:
+    """The rule for a function that `__torch_function__` is given, None if it decides nothing; `bends`: those that bend f count."""
+    if getattr(function, "__name__", "") in ESCAPES:
+        return None
+    name = name_of(function)
+    return (BENDS.get(name) if bends or transformed() else None) or RULES.get(name)
+
+
+def unruled(function: Any, args: Sequence[Any], kwargs: Arguments, result: Any) -> Level | None:
+    """What an operation without a rule decided, if it makes whole numbers or bools of floating ones: where it changes, but no margin."""
+    name = name_of(function)
+    # a view shows the bits of a number, which change everywhere
+    if name in ESCAPES or name == "view" or made_like(function):
+        return None
+    codes = next((t for t in tensors_in(args[0] if in_place(function) else result) if t.dtype in _WHOLE), None)
+    if codes is None or not any(floating(given) for given in tensors_in((args, kwargs))):
+        return None
+    return Level(codes, None)
