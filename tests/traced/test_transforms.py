@@ -12,6 +12,8 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 import torch_mcaa as mcaa
+from torch_mcaa.grid import Screen
+from torch_mcaa.traced.program import probe
 
 SITES = torch.tensor([[3.0, 4.0], [12.0, 5.0], [7.0, 12.0], [13.0, 13.0]])
 CIRCLES = torch.tensor([[4.0, 4.0], [11.0, 5.0], [8.0, 12.0]])
@@ -182,6 +184,14 @@ SLOPES: dict[str, Callable[[Function], Function]] = {
     "jvp": _pushed,
     "autograd.grad": _by_autograd,
 }
+
+
+def test_what_is_mapped_alone_decides_no_more_than_it_did() -> None:
+    """Without a derivative a bend is none of its decisions."""
+    p = torch.tensor(5.3, requires_grad=True)
+    for inner, names in ((lambda h: h, []), (torch.func.grad, ["relu"])):
+        f = _by_point(lambda a, b, inner=inner: inner(lambda c: torch.relu(c - p))(a) + b)
+        assert [site.name for site in probe(f, Screen.of((8, 8)), torch.float32, torch.device("cpu")).sites] == names
 
 
 @pytest.mark.parametrize("name", SLOPES)

@@ -9,7 +9,7 @@ import torch
 
 from torch_mcaa.traced.bends import BENDS
 from torch_mcaa.traced.decisions import ESCAPES, Arguments, Level, Rule, floating, in_place, made_like, name_of
-from torch_mcaa.traced.inside import transformed
+from torch_mcaa.traced.inside import differentiated
 from torch_mcaa.traced.nested import tensors_in
 from torch_mcaa.traced.rules import RULES
 
@@ -21,7 +21,7 @@ def rule_of(function: Any, bends: bool = False) -> Rule | None:
     if getattr(function, "__name__", "") in ESCAPES:
         return None
     name = name_of(function)
-    return (BENDS.get(name) if bends or transformed() else None) or RULES.get(name)
+    return (BENDS.get(name) if bends or differentiated() else None) or RULES.get(name)
 
 
 def unruled(function: Any, args: Sequence[Any], kwargs: Arguments, result: Any) -> Level | None:
