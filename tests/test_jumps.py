@@ -15,6 +15,7 @@ from torch import Tensor
 import torch_mcaa as mcaa
 from torch_mcaa import scenes
 from torch_mcaa.estimators.parts import FINER, LOCATED, MODELS, PLAIN, SAMPLED
+from torch_mcaa.grid import Screen
 
 # what 16 evaluations a pixel are to reach over 256 x 256, in ranges of f that are 1, 1.5 and 30
 REACH = {
@@ -546,3 +547,13 @@ def test_checkerboards_in_perspective() -> None:
         squares += torch.stack([(picture.image - truth).square().mean() for picture in (auto, shared)])
         assert float((auto.model[192:] == LOCATED).to(torch.float64).mean()) > 0.22
     assert float(squares[0].sqrt()) < 0.7 * float(squares[1].sqrt())
+
+
+def test_a_second_shift_of_rough_brackets_is_made_where_it_can_be_paid_for() -> None:
+    """It tells the standard error: blocks without one reported that of samples, in all eleven times the error of this board."""
+    scene = scenes.Checkerboard(33.355808255261465, (8.216987326602847, 0.2683474469622362))
+    x, y = Screen.of((256, 256)).centres()
+    picture = mcaa.render(scene, (256, 256), seed=7, dtype=torch.float64)
+    error = (picture.image[0] - scene.exact(x, y[:, None], mcaa.Gaussian(0.5, radius=4.0))).square().mean()
+    reported = (picture.stderr.square() - picture.unseen.square()).clamp_min(0).mean()
+    assert 0.3 < float((reported / error).sqrt()) < 3
