@@ -14,6 +14,11 @@ def dense(value: object) -> TypeGuard[Tensor]:
     return isinstance(value, Tensor) and not value.is_nested and value.layout == torch.strided and value.device.type != "meta"
 
 
+def pictures(value: object) -> TypeGuard[Tensor]:
+    """Whether it is a dense tensor of floating point numbers that is not empty."""
+    return dense(value) and value.is_floating_point() and value.numel() > 0
+
+
 def described(value: object) -> str:
     """A few words for a message."""
     if isinstance(value, Tensor):

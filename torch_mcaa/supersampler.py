@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torch_mcaa.arguments import task_of
 from torch_mcaa.compiling import uncompiled
-from torch_mcaa.dense import dense, described
+from torch_mcaa.dense import described, pictures
 from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, JumpCorrected
 from torch_mcaa.estimators.base import Task
@@ -140,7 +140,7 @@ class Supersampler(torch.nn.Module):
         seed = (self.seed + self._number(call)) % 2**64
         if not isinstance(f, Tensor):
             return self._picture(f, seed, self._like.dtype, self._like.device)
-        if not dense(f) or f.ndim != 4 or not f.is_floating_point() or f.numel() == 0:
+        if not pictures(f) or f.ndim != 4:
             raise McaaError(
                 f"textures must be a dense floating tensor (B, C, h, w) that is not empty, got {described(f)}; for one of (C, h, w) pass "
                 "Texture(image)"

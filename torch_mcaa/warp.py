@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.compiling import uncompiled
-from torch_mcaa.dense import dense, described
+from torch_mcaa.dense import dense, described, pictures
 from torch_mcaa.errors import McaaError, warn
 from torch_mcaa.estimators import Auto, Estimator, Shared
 from torch_mcaa.filters import Box, Filter, Gaussian
@@ -172,7 +172,7 @@ def resize(
     Raises:
         McaaError: an argument that cannot be used.
     """
-    if not dense(input) or input.ndim < 2 or not input.is_floating_point() or input.numel() == 0:
+    if not pictures(input) or input.ndim < 2:
         raise McaaError(f"input must be a dense floating tensor (..., H, W) that is not empty, got {described(input)}")
     if not isinstance(antialias, bool) or not (align_corners is None or isinstance(align_corners, bool)):
         raise McaaError(
@@ -247,7 +247,7 @@ def _of(layer: Supersampler, texture: Texture, estimator: Estimator | None, like
 
 
 def _check(src: object, M: Tensor, padding_mode: str, align_corners: object) -> None:
-    if not dense(src) or src.ndim != 4 or not src.is_floating_point() or src.numel() == 0:
+    if not pictures(src) or src.ndim != 4:
         raise McaaError(f"src must be a dense floating tensor (B, C, H, W) that is not empty, got {described(src)}")
     if len(M) not in (1, len(src)):
         raise McaaError(f"src has {len(src)} pictures and M {len(M)} maps; give one map for each, or one for all")

@@ -56,10 +56,11 @@ ESCAPES = ("item", "tolist", "numpy", "__array__", "__bool__", "__float__", "__i
 def in_place(function: Any) -> bool:
     """Whether the function changes its first argument."""
     name = getattr(function, "__name__", "").split(".")[0]
-    return name in ("__setitem__", *(f"__{n}__" for n in _IN_PLACE)) or (name.endswith("_") and not name.endswith("__"))
+    return name in _CHANGING or (name.endswith("_") and not name.endswith("__"))
 
 
 _IN_PLACE = ("iadd", "isub", "imul", "idiv", "itruediv", "ifloordiv", "imod", "ipow", "iand", "ior", "ixor", "ilshift", "irshift")
+_CHANGING = frozenset(("__setitem__", *(f"__{name}__" for name in _IN_PLACE)))
 
 
 def made_like(function: Any) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 from torch.overrides import handle_torch_function, has_torch_function_unary
 
+from torch_mcaa.dense import described
 from torch_mcaa.errors import McaaError
 from torch_mcaa.traced.decisions import floating
 
@@ -28,9 +29,8 @@ def level_set(g: Tensor) -> Tensor:
         McaaError: g is no floating point tensor.
     """
     if not floating(g):
-        got = f"a tensor of {g.dtype}" if isinstance(g, Tensor) else type(g).__name__
         raise McaaError(
-            f"level_set takes a floating point tensor of the points' shape, got {got}; pass what crosses zero at the jump"
+            f"level_set takes a floating point tensor of the points' shape, got {described(g)}; pass what crosses zero at the jump"
         )
     if has_torch_function_unary(g):
         return handle_torch_function(level_set, (g,), g)

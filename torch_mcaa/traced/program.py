@@ -25,21 +25,23 @@ _POINT, _PARAMETER = 1, 2
 _FIRST = 2
 """The bit of the first tensor that wants a gradient; that of the first decision is the next one, and so on by turns."""
 _OURS = ("aten", "prim", "prims", "quantized", "torchvision")
-_SELDOM = (
-    "div",
-    "divide",
-    "true_divide",
-    "truediv",
-    "rdiv",
-    "rtruediv",
-    "reciprocal",
-    "pow",
-    "rpow",
-    "float_power",
-    "tan",
-    "atan2",
-    "arctan2",
-    "angle",
+_SELDOM = frozenset(
+    [
+        "div",
+        "divide",
+        "true_divide",
+        "truediv",
+        "rdiv",
+        "rtruediv",
+        "reciprocal",
+        "pow",
+        "rpow",
+        "float_power",
+        "tan",
+        "atan2",
+        "arctan2",
+        "angle",
+    ]
 )
 """What has a pole or a branch cut, where a parameter hardly ever is."""
 
@@ -87,6 +89,7 @@ class _Met:
     shape: tuple[int, ...]
     dim: int | None
     depends: int
+    seldom: bool
 
 
 def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> Program:
@@ -116,7 +119,7 @@ def probe(function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torc
         axes = [k for k, (a, b) in enumerate(zip(one.shape, two.shape, strict=True)) if (a, b) == (first.points, second.points)]
         axis = axes[0] if len(axes) == 1 and axes[0] != one.dim else None
         sites.append(Site(one.name, one.where, axis, _every_other(one.depends >> _FIRST), _every_other(one.depends >> _FIRST + 1)))
-        if axis is None and one.name.strip("_") in _SELDOM:
+        if axis is None and one.seldom:
             continue
         if axis is None and one.depends & _POINT:
             problems.append(
@@ -214,7 +217,7 @@ class _Probe(Watch):
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
-        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now))
+        self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, name_of(func) in _SELDOM))
 
     def _note(self, tensor: Tensor, depends: int) -> None:
         self._depends[id(tensor)] = self._depends.get(id(tensor), 0) | depends

@@ -125,8 +125,7 @@ def _taken(place: int, *names: str) -> Rule:
     """Numbers that are taken over as they are, or cast."""
 
     def rule(args: Sequence[Any], kwargs: Arguments, result: Any) -> Decision | None:
-        given = argument(args, kwargs, place, *names)
-        return _cast([given], kwargs, args[0] if result is None else result)
+        return _cast([argument(args, kwargs, place, *names)], kwargs, result)
 
     return rule
 

@@ -26,11 +26,8 @@ def rule_of(function: Any, bends: bool = False) -> Rule | None:
 
 def unruled(function: Any, args: Sequence[Any], kwargs: Arguments, result: Any) -> Level | None:
     """What an operation without a rule decided, if it makes whole numbers or bools of floating ones: where it changes, but no margin."""
-    name = name_of(function)
-    # a view shows the bits of a number, which change everywhere
-    if name in ESCAPES or name == "view" or made_like(function):
-        return None
     codes = next((t for t in tensors_in(args[0] if in_place(function) else result) if t.dtype in _WHOLE), None)
-    if codes is None or not any(floating(given) for given in tensors_in((args, kwargs))):
+    # a view shows the bits of a number, which change everywhere
+    if codes is None or name_of(function) == "view" or made_like(function):
         return None
-    return Level(codes, None)
+    return Level(codes, None) if any(map(floating, tensors_in((args, kwargs)))) else None

@@ -13,6 +13,7 @@ from torch_mcaa.edges.candidates import joined as together
 from torch_mcaa.estimators.located.blocks import deciding, told
 from torch_mcaa.estimators.located.counted import Counted
 from torch_mcaa.grid import Cell
+from torch_mcaa.picking import ranked
 from torch_mcaa.traced.refine import located
 from torch_mcaa.traced.scan import Brackets
 from torch_mcaa.traced.scan import Segments as Differing
@@ -103,9 +104,7 @@ def smooth(ask: Counted, found: list[Segments], seed: int) -> Tensor:
     kinds, kind, counts = torch.unique(every, return_inverse=True, return_counts=True)
     frequent = (counts > _FREQUENT) & (kinds > 0)
     # some of each, at random
-    order = torch.argsort(torch.cat([s.stream for s in found]) * _MIX, stable=True)
-    order = order[torch.argsort(kind[order], stable=True)]
-    rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts)[kind[order]]
+    order, rank, _ = ranked(kind, torch.cat([s.stream for s in found]) * _MIX)
     tried = torch.zeros_like(every, dtype=torch.bool)
     tried[order] = (rank < _TRIED) & frequent[kind[order]]
     jump, size = torch.zeros_like(kinds), torch.zeros_like(kinds)

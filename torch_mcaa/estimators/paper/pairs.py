@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.allocation import Allocation, Uniform
+from torch_mcaa.dense import described
 from torch_mcaa.densities import Density
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
@@ -118,9 +119,8 @@ class Pairs(Pixelwise):
 def _terms(index: int, g: Terms, values: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
     terms = g(values, dx, dy)
     if not isinstance(terms, Tensor) or terms.shape != values.shape:
-        received = f"a tensor of shape {tuple(terms.shape)}" if isinstance(terms, Tensor) else f"{type(terms).__name__}"
         raise McaaError(
-            f"Pairs: g of pair {index} must return a tensor of the shape of its arguments, {tuple(values.shape)}, got {received}"
+            f"Pairs: g of pair {index} must return a tensor of the shape of its arguments, {tuple(values.shape)}, got {described(terms)}"
         )
     terms = terms.to(torch.float64)
     bad = int((~torch.isfinite(terms)).sum())
