@@ -5,6 +5,7 @@ Only the position of a margin's zero and its slope's direction count: any increa
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +44,12 @@ Rule = Callable[[Sequence[Any], Arguments, Any], Decision | None]
 
 def name_of(function: Any) -> str:
     """The name that rules go by: `lt` for torch.lt, Tensor.lt, Tensor.lt_, Tensor.__lt__, torch.ops.aten.lt.Scalar."""
-    name = getattr(function, "__name__", "").split(".")[0].removeprefix("special_")
+    return _ruled_name(getattr(function, "__name__", ""))
+
+
+@functools.cache
+def _ruled_name(name: str) -> str:
+    name = name.split(".")[0].removeprefix("special_")
     if name.startswith("__") and name.endswith("__"):
         return name[2:-2].removeprefix("i") if name[2:-2] in _IN_PLACE else name[2:-2]
     return name.strip("_")
@@ -55,7 +61,12 @@ ESCAPES = ("item", "tolist", "numpy", "__array__", "__bool__", "__float__", "__i
 
 def in_place(function: Any) -> bool:
     """Whether the function changes its first argument."""
-    name = getattr(function, "__name__", "").split(".")[0]
+    return _changing(getattr(function, "__name__", ""))
+
+
+@functools.cache
+def _changing(name: str) -> bool:
+    name = name.split(".")[0]
     return name in _CHANGING or (name.endswith("_") and not name.endswith("__"))
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from torch_mcaa.traced.bends import BENDS
 from torch_mcaa.traced.decisions import ESCAPES, Arguments, Level, Rule, floating, in_place, made_like, name_of
@@ -21,11 +22,14 @@ def rule_of(function: Any, bends: bool = False) -> Rule | None:
     if getattr(function, "__name__", "") in ESCAPES:
         return None
     name = name_of(function)
-    return (BENDS.get(name) if bends or differentiated() else None) or RULES.get(name)
+    return BENDS[name] if name in BENDS and (bends or differentiated()) else RULES.get(name)
 
 
 def unruled(function: Any, args: Sequence[Any], kwargs: Arguments, result: Any) -> Level | None:
     """What an operation without a rule decided, if it makes whole numbers or bools of floating ones: where it changes, but no margin."""
+    if isinstance(result, Tensor) and result.is_floating_point() and not in_place(function):
+        # most operations, of which nothing more is asked
+        return None
     codes = next((t for t in tensors_in(args[0] if in_place(function) else result) if t.dtype in _WHOLE), None)
     # a view shows the bits of a number, which change everywhere
     if codes is None or name_of(function) == "view" or made_like(function):
