@@ -19,10 +19,10 @@ from torch_mcaa.estimators.differences import Differences
 from torch_mcaa.estimators.directions import directions, faced
 from torch_mcaa.estimators.further import poorest_of, sampled_first, sampled_further
 from torch_mcaa.estimators.lattice.audit import tile_means
-from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, blocks_of, by_pixel, shape_of
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, blocks_of, by_block, by_pixel, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent, is_random
 from torch_mcaa.estimators.located.jump_corrector import JUDGED, KEPT, unlike
-from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts
+from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.filters import SeparableFilter
 from torch_mcaa.grid import Cell
@@ -151,8 +151,7 @@ class PilotedRound(Round):
                 sampled_further(self.parts, part, cell, poorest, edges, left, None if most is None else self.spp)
         else:
             sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
-        crowded = by_pixel((judged.verdict == Verdict.JUMPS).view(shape_of(cell)), cell)
-        part.model[crowded.to(part.model.device) & (part.model == SAMPLED)] = CROWDED
+        _mark_crowded(part.model, cell, judged.verdict)
         return part.estimate()
 
     def _edges(self, seen: _Seen, part: Part, cell: Cell, left: int) -> tuple[Tensor | None, int]:
@@ -221,6 +220,14 @@ class PilotedRound(Round):
             done,
             taken,
         )
+
+
+def _mark_crowded(model: Tensor, cell: Cell, verdict: Tensor) -> None:
+    """Where f jumps and was sampled: there by design, or as all that came of locating jumps in a block."""
+    jumps = (verdict == Verdict.JUMPS).to(model.device)
+    without = jumps & (by_block(located(model), cell) == 0)
+    crowded, empty = (by_pixel(some.view(shape_of(cell)), cell) for some in (jumps, without))
+    model[(crowded & (model == SAMPLED)) | (empty & (model == PLAIN))] = CROWDED
 
 
 def _jumping(cell: Cell, judged: Judged) -> Tensor:

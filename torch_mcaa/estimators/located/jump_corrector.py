@@ -83,7 +83,7 @@ class Corrector:
         self.work = Leveller(ask, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = shape_of(ask.cell)
-        self.most_steps = steps
+        self.most_steps = steps if enough is None else min(steps, _steps(self.plain, enough))
         self.unlike = unlike(ask.task)
         # where there are pieces that had to be left to sampling, and what it would have taken not to
         self.missed = torch.zeros_like(allowed), 0.0
@@ -216,7 +216,7 @@ class Corrector:
             count = finer * self.base.count
             count += 1 - count % 2
             for times in (1, 4, 16, 64, 256, 1024):
-                chosen = near & dilated(coarse.pixels.plane(worst > times), 1)
+                chosen = near & dilated(coarse.pixels.plane(worst > times), 1 - level)
                 pixels = int(dilated(chosen, self.work.window.halo).sum())
                 if not pixels or 2 * pixels * count * (1 + density / self.base.count * STEPS[0]) < self.ask.left:
                     break
@@ -224,7 +224,7 @@ class Corrector:
                 break
             if not pixels:
                 break
-            self.work.finest = _finest(STEPS[0])
+            self.work.finest = _finest(STEPS[0] if self.enough is None else self.most_steps)
             try:
                 third = self.work.shift(count, 2 + 2 * level, chosen)
                 fourth = self.work.shift(count + self.unlike, 3 + 2 * level, chosen, third)
@@ -286,6 +286,13 @@ def crossing(steps: int, told: Tensor) -> Tensor:
 def _finest(steps: int) -> float:
     """Px; the quarters of a segment are a little larger or smaller than one."""
     return 1.1 * 2.0**-steps
+
+
+def _steps(value: Tensor, enough: Tensor) -> int:
+    """So many halvings that a bracket's width, times the values' range (C, h, w), is a standard error that is `enough`: lines err by far less."""
+    finite = value.nan_to_num(0.0, 0.0, 0.0)
+    ratio = (finite.amax((1, 2)) - finite.amin((1, 2))) / enough.amin((1, 2)).clamp_min(1e-300)
+    return int(ratio.amax().clamp(2.0 ** STEPS[-1], 2.0 ** STEPS[0]).log2().ceil())
 
 
 def _halvings(finest: float) -> float:
