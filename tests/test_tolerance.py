@@ -122,14 +122,14 @@ def test_tolerance_is_met_with_few_evaluations(name: str) -> None:
 
 
 @pytest.mark.parametrize(("enough", "steps"), [(1e-1, 8), (1 / 1500, 11), (1e-9, 14)])
-def test_brackets_are_no_narrower_than_a_tolerance_asks_for(enough: float, steps: int) -> None:
+def test_brackets_of_finer_lattices_are_no_narrower_than_a_tolerance_asks_for(enough: float, steps: int) -> None:
     """Of a range of 1, and in the channel that asks for most."""
     value = torch.stack([torch.linspace(0, 1, 12), torch.linspace(2, 2.001, 12)]).view(2, 3, 4)
     assert _steps(value, torch.full_like(value, enough)) == steps
 
 
 def test_a_block_that_jumps_and_was_sampled_after_all_is_not_taken_for_calm() -> None:
-    """It was, and was sampled up to the cap in the place of being located: a comb of hairlines took 80 evaluations a pixel, and takes 23."""
+    """It was, and was sampled up to the cap in the place of being located: a comb of hairlines took 80 evaluations a pixel, and takes 30."""
     cell = Cell(0, 0, 64, 96)
     model = torch.full((64, 96), PLAIN, dtype=torch.uint8)
     model[5, 7], model[40:50, 40:50] = LOCATED, SAMPLED

@@ -83,7 +83,7 @@ class Corrector:
         self.work = Leveller(ask, seed, self.plain)
         self.allowed, self.jumping = allowed, jumping.to(allowed.device)
         self.blocks = shape_of(ask.cell)
-        self.most_steps = steps if enough is None else min(steps, _steps(self.plain, enough))
+        self.most_steps = steps
         self.unlike = unlike(ask.task)
         # where there are pieces that had to be left to sampling, and what it would have taken not to
         self.missed = torch.zeros_like(allowed), 0.0
@@ -224,7 +224,7 @@ class Corrector:
                 break
             if not pixels:
                 break
-            self.work.finest = _finest(STEPS[0] if self.enough is None else self.most_steps)
+            self.work.finest = _finest(STEPS[0] if self.enough is None else _steps(self.plain, self.enough))
             try:
                 third = self.work.shift(count, 2 + 2 * level, chosen)
                 fourth = self.work.shift(count + self.unlike, 3 + 2 * level, chosen, third)
