@@ -1,4 +1,4 @@
-"""Taking some of many along the last axis, several times faster than indexing does, and which of them: by groups, at random."""
+"""Taking some of many along the last axis, several times faster than indexing does, and which of them: by groups, by runs, at random."""
 
 from __future__ import annotations
 
@@ -18,6 +18,13 @@ def ranked(group: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     counts = torch.unique_consecutive(group[order], return_counts=True)[1]
     rank = torch.arange(len(order), device=order.device) - (counts.cumsum(0) - counts).repeat_interleave(counts)
     return order, rank, counts.repeat_interleave(counts)
+
+
+def one_of_each(count: int, runs: int, random: Tensor) -> tuple[Tensor, Tensor]:
+    """Of so many in a row, cut into `runs` of one size, but for one, each one at random (runs,): which they are, and the chance of each."""
+    ends = torch.arange(runs + 1, device=random.device) * count // runs
+    size = ends.diff()
+    return ends[:-1] + (random * size).long(), 1 / size.to(random.dtype)
 
 
 def pick(values: Tensor, index: Tensor) -> Tensor:

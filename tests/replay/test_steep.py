@@ -90,7 +90,7 @@ def test_the_report_has_it_too(ramp: Ramp, steepness: float) -> None:
     for place in places:
         assert math.hypot(place.x - 16, place.y - 16) == pytest.approx(10.3, abs=2e-3)
     assert places[0].size == pytest.approx(2 * 0.7 if ramp in (torch.tanh, F.hardtanh, torch.erf) else 0.7, rel=0.05)
-    assert ("ramps within 1/4096 px" in str(report)) == (steepness == 1e5)
+    assert ("ramps within 1/256 px" in str(report)) == (steepness == 1e5)
     assert "no other jump" not in str(report)
 
 

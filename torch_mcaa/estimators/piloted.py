@@ -20,7 +20,7 @@ from torch_mcaa.estimators.directions import directions, faced
 from torch_mcaa.estimators.further import poorest_of, sampled_first, sampled_further
 from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, blocks_of, by_block, by_pixel, shape_of
-from torch_mcaa.estimators.located.counted import Counted, Spent, is_random
+from torch_mcaa.estimators.located.counted import Counted, Spent, hold_to_rounding, is_random
 from torch_mcaa.estimators.located.jump_corrector import JUDGED, KEPT, unlike
 from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts, located
 from torch_mcaa.estimators.plans import plans_of
@@ -182,6 +182,7 @@ class PilotedRound(Round):
             row, col = max(row, 0), max(col, 0)
             bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
         values = ask.everywhere(float(x), float(y), row, col, bottom - row, right - col)
+        hold_to_rounding(ask, float(x), float(y), row, col, values, parts.seed)
         channels = self.task.integrand.channels
         codes = values[channels:, :, None] if self.task.followed else None
         values = values[:channels]

@@ -58,7 +58,7 @@ def plan(
     if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
         deciding = _deciding(task, exact)
         program = _program(deciding)
-        if look and not program.problems and (place := _steep(deciding, program, found.tensors)):
+        if look and not program.problems and (place := _steep(deciding, program, found.tensors, spp)):
             warn(place)
     elif not found.tensors and discontinuities and not isinstance(f, Texture) and (hidden := _hidden(task)):
         warn(
@@ -135,9 +135,9 @@ def _program(task: Task) -> Program:
     return program
 
 
-def _steep(task: Task, program: Program, tensors: Sequence[Tensor]) -> str:
+def _steep(task: Task, program: Program, tensors: Sequence[Tensor], spp: int) -> str:
     with unheard(), torch.no_grad():
-        return steep(task, program, tensors)
+        return steep(task, program, tensors, spp)
 
 
 def _asks(tensor: Tensor | None) -> bool:

@@ -8,6 +8,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
+from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function, Integrand, width_of
@@ -17,6 +18,8 @@ from torch_mcaa.traced.visitors import Signatures
 
 _AT_ONCE = 12 * 256 * 8
 """Points of one call on a CPU."""
+_ROUNDED, _COMPARED, _SURE = 0x20D1, 64, 2
+"""How many places are compared, and how many have to differ: one may lie on an edge."""
 Tally = Callable[[Tensor, Tensor], None]
 """Told the columns and rows (N,) of every place that f is asked at."""
 V = TypeVar("V", bound=Callable[[int, Lanes, Site], None])
@@ -37,6 +40,19 @@ class Asked:
         self.precision = torch.float64
         self.coarse = screen.coordinate_dtype(Cell(0, 0, screen.height, screen.width), dtype)
         self.channels = 1
+
+    def hold_to_rounding(self, cell: Cell, seed: int) -> None:
+        """Ask f in the picture's dtype alone from now on if rounding makes another f of it, as of one that hashes: if it decides otherwise at a few of
+        some random places of the cell in float64.
+        """
+        if self.coarse == self.precision:
+            return
+        index = torch.arange(_COMPARED, device=self.device)
+        col, row = (rng.uniform(seed, _ROUNDED, axis, index, dtype=torch.float64) for axis in (0, 1))
+        col, row = cell.col + col * cell.width, cell.row + row * cell.height
+        decided = [self.run(col, row, lambda: Signatures(self.device), coarse)[1].signatures(_COMPARED) for coarse in (False, True)]
+        if int((decided[0] != decided[1]).count_nonzero()) >= _SURE:
+            self.precision = self.coarse
 
     @property
     def at_once(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -21,9 +22,9 @@ from torch_mcaa.traced.program import Program, probe
 
 STEPS, PART = 36, 1e-3
 """What is no jump, in changes over a piece: of a bend 2^-30 is left, or what float32 rounds to."""
-NARROW = 12
-"""Halvings of a piece of 1 px, after which a ramp with more than half of its change left is met by next to no sample: of an edge of 100 px by less
-than one of 16 a pixel."""
+_SELDOM = 8
+_NARROW = 8
+"""As `narrow` says of 32 samples."""
 _TOUCHED = 0.05
 """Of the largest jump: less is the foot of a wider ramp, at which a piece ends."""
 _CELL = 64
@@ -31,6 +32,11 @@ _MOST = 1 << 16
 """Segments looked at."""
 _FOLLOWED = 1024
 _NAMED = 8
+
+
+def narrow(spp: int) -> int:
+    """Halvings of 1 px until what is left is met by next to no sample of so many a pixel: by one in `_SELDOM` pixels of an edge."""
+    return math.ceil(math.log2(_SELDOM * spp))
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class Discontinuities:
     Attributes:
         decisions: (file:line, operation, jumps met on lines across the screen) for every decision of f.
         jumps: those that no decision explains.
-        ramps: changes within 2^-12 px that no decision explains, to all samples a jump.
+        ramps: changes within 2^-8 px that no decision explains, to all samples a jump.
         problems: sentences about what the trace cannot follow.
         probes: how many pieces of lines were looked at, and followed.
         random: f gave two values for one point: it is random, or mixes the points that it is asked for at once.
@@ -86,7 +92,7 @@ class Discontinuities:
             )
         if self.ramps:
             lines.append(
-                f"ramps within 1/{2**NARROW} px that no decision explains ({len(self.ramps)} of {self.probes[1]} places that were followed):"
+                f"ramps within 1/{2**_NARROW} px that no decision explains ({len(self.ramps)} of {self.probes[1]} places that were followed):"
             )
             lines += _named(self.ramps)
             lines.append(
@@ -170,11 +176,11 @@ def untraced(
     some = pieces(asked, seed, looked, followed)
     if some is None:
         return (), (), (looked, 0), True
-    part = some.halved(asked, NARROW - HALVED)
-    left = part.halved(asked, STEPS - NARROW)
+    part = some.halved(asked, _NARROW - HALVED)
+    left = part.halved(asked, STEPS - _NARROW)
     least = _TOUCHED * some.size().amax() if len(some) else 0.0
-    narrow = part.take((part.left() > 0.5) & part.stands_out() & (part.size() > least))
-    ends = narrow.halved(asked, STEPS - NARROW)
+    thin = part.take((part.left() > 0.5) & part.stands_out() & (part.size() > least))
+    ends = thin.halved(asked, STEPS - _NARROW)
     jump, ramp = left.take((left.left() > PART) & left.stands_out()), ends.take(ends.left() <= PART)
     jumps, ramps = _largest(screen, jump, jump.jump), _largest(screen, ramp, ramp.change)
     return jumps, ramps, (looked, len(some)), False

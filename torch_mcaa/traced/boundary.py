@@ -121,9 +121,10 @@ def elements(
         return Elements(
             none, none, none.expand(program.channels, 0), none, whole, whole.expand(3, 0).T, none.expand(2, 0), program, dtype, ()
         )
+    asked.hold_to_rounding(cell, seed)
     cols = _span(cell.col, cell.width, screen.width, filter.radius[0], closed)
     rows = _span(cell.row, cell.height, screen.height, filter.radius[1], closed)
-    most = _FEWEST + 4 * (cols[1] - cols[0]) * (rows[1] - rows[0])
+    most = _FEWEST + 4 * max(1, lines // LINES) * (cols[1] - cols[0]) * (rows[1] - rows[0])
     found = worthwhile(asked, scan(asked, cols, rows, lines, seed, closed), most, seed)
     blocks = crowded(asked, found.brackets.take(found.brackets.own), lines, seed, closed)
     scans = [(found, most, 1.0)]

@@ -28,6 +28,8 @@ _EACH, _PARTS = 6, 4
 """One of so many segments of a block, or one at least, tells whether changes crowd there; and what a pixel of it is cut into."""
 _OFF = 0.05
 """From this difference on a probability is another one."""
+_RARE = 0.01
+"""The share of looks that may be off where changes do not crowd."""
 _CLOSE, _FINELY = 0xC105E, 0xF17E
 
 
@@ -92,8 +94,11 @@ def crowded(asked: Asked, found: Brackets, lines: int, seed: int, closed: bool) 
         whole = inside[1:] & inside[:-1] & (line[1:] == line[:-1]) & (before[:-1] == after[1:])
         off[1:] |= whole & differing[part][line[1:]]
         other[part][line[off]] = True
+    # of few that are off less is lost than the fine scan's noise is
+    numbers, which, looks = block.unique(return_inverse=True, return_counts=True)
+    often = torch.zeros_like(looks).index_add_(0, which, other.long()) > _RARE * looks
     # the lines beside
-    return Blocks((block[other] ^ 1).unique(), lines)
+    return Blocks((numbers[often] ^ 1).unique(), lines)
 
 
 def _met(cut: Tensor, signature: Tensor, line: Tensor, place: Tensor) -> Tensor:
@@ -136,9 +141,11 @@ def finely(
         for start in range(0, len(some), step):
             part = some.some(slice(start, start + step))
             place = part.low[:, None] + parts
-            found.append(differing(asked, axis, part.across, place, axis * len(whole) + start, closed))
+            line0 = axis * len(whole) + start
+            fine = differing(asked, axis, part.across, place, line0, closed)
+            chance = part.chance[fine.brackets.line - line0]
+            found.append(replace(fine, brackets=replace(fine.brackets, chance=chance)))
     # on a screen of a pixel there may be no lines beside
     if not found:
         return None
-    every = together(found)
-    return replace(every, brackets=replace(every.brackets, chance=every.brackets.chance * whole.chance[0]))
+    return together(found)

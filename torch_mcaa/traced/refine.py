@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -99,11 +100,15 @@ def on_some_lines(found: Segments, most: int, seed: int) -> Segments:
 
 
 def _some_lines(line: Tensor, part: float, seed: int) -> tuple[Tensor, float]:
-    """bool (N,): what lies on about that part of the lines, at random and at least one, and the exact part of them."""
+    """bool (N,): what lies on about that part of the lines, at least one, and the exact part of them.
+
+    Evenly spaced from a random first one: lines that are left out at random would cost most of what even ones are worth.
+    """
     lines, which = line.unique(return_inverse=True)
-    some = max(1, int(len(lines) * part))
+    some = max(1, len(lines) // max(1, round(1 / part)))
+    first = rng.uniform(seed, _LINES, dtype=torch.float64).to(line.device)
     kept = torch.zeros_like(lines, dtype=torch.bool)
-    kept[torch.argsort(rng.bits(seed, _LINES, lines), stable=True)[:some]] = True
+    kept[((torch.arange(some, device=line.device) + first) * len(lines) / some).long()] = True
     return kept[which], some / len(lines)
 
 
@@ -189,12 +194,14 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
 
 def _quartered(asked: Asked, brackets: Brackets, width: float, most: int, seed: int) -> Brackets:
     """All changes in them, in brackets no wider than `width`."""
-    most //= _DEARER
-    done, share = [], torch.tensor([[0.25], [0.5], [0.75]], dtype=torch.float64, device=asked.device)
+    most = max(len(brackets), most // _DEARER)
+    done, level, share = [], 0, torch.tensor([[0.25], [0.5], [0.75]], dtype=torch.float64, device=asked.device)
     while len(brackets):
         narrow = brackets.high - brackets.low <= width
         done.append(brackets.take(narrow))
-        brackets = brackets.take(~narrow).thinned(most, seed)
+        # independent of what was left out before
+        level += 1
+        brackets = brackets.take(~narrow).thinned(most, int(rng.bits(seed, level)))
         places = torch.lerp(brackets.low, brackets.high, share)
         col, row = brackets.places(places)
         signatures = asked.signatures(col.flatten(), row.flatten()).view(places.shape)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa import rng
-from torch_mcaa.picking import numbers, pick
+from torch_mcaa.picking import numbers, one_of_each, pick
 from torch_mcaa.traced.asked import Asked
 from torch_mcaa.traced.visitors import Causes
 
@@ -66,11 +66,11 @@ class Brackets:
         return replace(self.take(which), low=low, high=high, before=before, after=after)
 
     def thinned(self, most: int, seed: int) -> Brackets:
-        """`most` of them at random, if there are more."""
+        """`most` of them if there are more: of as many runs of neighbours one each, at random."""
         if len(self) <= most:
             return self
-        kept = self.take(torch.argsort(self.numbers(seed), stable=True)[:most])
-        return replace(kept, chance=kept.chance * (most / len(self)))
+        run = torch.arange(most, device=self.low.device)
+        return self.take(*one_of_each(len(self), most, rng.uniform(seed, _THINNED, run, dtype=torch.float64)))
 
     def numbers(self, seed: int) -> Tensor:
         """(N,) random numbers of their places."""

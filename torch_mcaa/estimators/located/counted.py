@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from torch_mcaa.traced.asked import Asked
 
 _STREAM, _TWICE = 0x2A5C, 16
+_ROUNDED, _AGAIN = 0x20D, 48
+_OFF, _DIGITS, _SURE = 1 / 64, 64, 2
+"""What rounding changes no f by that is not another one by it, in its range and in its last digits; and how many places have to say so: one may
+lie on an edge."""
 _HELD = 1 << 14
 """Places that are counted at once."""
 
@@ -31,7 +35,7 @@ class Spent(Exception):
 
 @dataclass
 class Precision:
-    """The dtype of the places that f is asked at: float64, in which jumps are located, unless f cannot take it."""
+    """The dtype of the places that f is asked at: float64, in which jumps are located, unless f cannot take it, or is another one in it."""
 
     dtype: torch.dtype = torch.float64
 
@@ -89,7 +93,9 @@ class Counted:
             self._note(col, row)
             task.integrand.evaluations += len(col)
 
-        return Asked(task.followed.function, task.screen, task.followed.program, task.dtype, task.device, tally)
+        asked = Asked(task.followed.function, task.screen, task.followed.program, task.dtype, task.device, tally)
+        asked.precision = self.precision.dtype
+        return asked
 
     def _note(self, col: Tensor, row: Tensor) -> None:
         """Count the places that f is to be asked at."""
@@ -212,6 +218,27 @@ def is_random(ask: Counted, seed: int) -> bool:
         return False
     ask.task.integrand.random = True
     return True
+
+
+def hold_to_rounding(ask: Counted, x: float, y: float, row: int, col: int, values: Tensor, seed: int) -> None:
+    """Ask f in the picture's dtype from now on if rounding makes another f of it, as of one that hashes: what float64 tells of is not in the picture.
+
+    values: (C, h, w) as `Counted.everywhere` has told of them, of the same places; some of them are asked for again, in float64.
+    """
+    task, (height, width) = ask.task, values.shape[1:]
+    if ask.precision.dtype == task.screen.coordinate_dtype(ask.cell, task.dtype):
+        return
+    at = rng.bits(seed, _ROUNDED, torch.arange(_AGAIN, device=values.device)) % (height * width)
+    down, across = at // width, at % width
+    before = values[:, down, across].to(torch.float64)
+    try:
+        off = (ask(across + (col + x), down + (row + y), coded=task.followed is not None).to(torch.float64) - before).abs()
+    except Spent:
+        return
+    # of what is flat there, no more than its digits
+    spread = torch.maximum(_OFF * (before.amax(1) - before.amin(1)), _DIGITS * torch.finfo(task.dtype).eps * before.abs().amax(1))
+    if int((off > spread[:, None]).any(0).count_nonzero()) >= _SURE:
+        ask.precision.dtype = task.dtype
 
 
 def on_screen(task: Task, row: int, col: int, shape: tuple[int, int]) -> Tensor:
