@@ -75,7 +75,8 @@ class Supersampler(torch.nn.Module):
                 as in `render` come on top.
             extent: (x0, x1, y0, y1); a tensor of the four that requires a gradient gets one.
             redraw: new points at each call.
-            decorrelate: points of its own for the backward pass, so that the gradient of a loss that is not linear in the picture is unbiased.
+            decorrelate: points of its own for the backward pass, independent of what the loss made of the picture: the gradient of a loss that is
+                quadratic in the picture is unbiased. Of another loss what is left is that its own slope is taken at a picture with noise.
             discontinuities: "auto" traces f's decisions, and counts what its jumps contribute as they move, too; it warns of what it cannot
                 trace, and where f is found to change as by a jump and decides nothing. False is plain automatic differentiation of the
                 picture of `render`.

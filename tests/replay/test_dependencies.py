@@ -203,3 +203,10 @@ def test_what_was_computed_outside_and_cannot_be_seen_beside_what_it_was_compute
     scaled = 3 * weight
     with pytest.raises(McaaError, match="computed outside it"):
         found(lambda x, y: scaled * weight * x + torch.func.grad(lambda s: s**2)(scaled))
+
+
+def test_a_parameter_made_in_inference_mode_is_refused() -> None:
+    with torch.inference_mode():
+        radius = torch.nn.Parameter(torch.tensor(5.0))
+    with pytest.raises(McaaError, match="inference_mode"):
+        mcaa.Supersampler((8, 8))(lambda x, y: (torch.hypot(x - 4, y - 4) < radius).float())

@@ -60,6 +60,16 @@ def test_a_ramp_that_no_sample_meets_is_said_with_its_place(ramp: Ramp, steepnes
     assert math.hypot(float(place[1]) - 16, float(place[2]) - 16) == pytest.approx(10.3, abs=2e-3)
 
 
+@pytest.mark.parametrize(("steepness", "spp", "many"), [(30, 16, 0), (300, 16, 1), (100, 64, 0), (3000, 64, 1), (3000, 512, 0)])
+def test_what_next_to_no_sample_meets_hangs_on_their_number(steepness: float, spp: int, many: int) -> None:
+    """A gradient is exactly 0 in 7 calls of 12 with a ramp of 1/300 px and 16 samples a pixel, on a circle of 19 px."""
+    radius = torch.tensor(3.0, requires_grad=True)
+    for seed in range(3):
+        f = lambda x, y: ((radius - torch.hypot(x - 8, y - 8)) * steepness).clamp(0, 1)  # noqa: E731
+        messages = said(f, (16, 16), spp=spp, seed=seed)
+        assert len(messages) == many and all("within 1/" in message for message in messages)
+
+
 def test_ramps_beside_stronger_texture_and_in_another_channel_are_said() -> None:
     """Texture that changes by three times as much in a pixel, or by ten times, in the other channel."""
     ramp = disc(torch.sigmoid, 1e6)
@@ -96,7 +106,7 @@ def test_the_report_has_it_too(ramp: Ramp, steepness: float) -> None:
 
 def test_the_report_is_well_of_what_samples_meet() -> None:
     for f in (
-        *(disc(ramp, 100.0) for ramp in RAMPS.values()),
+        *(disc(ramp, 40.0) for ramp in RAMPS.values()),
         lambda x, y: (x - RADIUS).abs().sqrt(),
         lambda x, y: SHADE * (x < RADIUS),
     ):
@@ -128,12 +138,11 @@ def test_nothing_is_said_of_what_samples_meet_or_nothing_moves(seed: int) -> Non
     )
     image = torch.rand(1, 8, 8, requires_grad=True)
     for f in (
-        *(disc(ramp, 100.0) for ramp in RAMPS.values()),
+        *(disc(ramp, 40.0) for ramp in RAMPS.values()),
         lambda x, y: SHADE * torch.clamp(1e6 * (x - 10.123), 0, 1) + RADIUS * y,
         lambda x, y: SHADE * torch.sigmoid(1e9 * (torch.hypot(x - 16, y - 16) - 10.3)),
         lambda x, y: torch.sin(RADIUS * x) * torch.cos(RADIUS * y),
         lambda x, y: (x - RADIUS).abs().sqrt(),
-        lambda x, y: (x - RADIUS).abs().clamp_min(1e-20).log(),
         lambda x, y: torch.exp(-(((torch.hypot(x - 16, y - 16) - RADIUS) / 0.02) ** 2)),
         lambda x, y: torch.ones_like(x) / 3 + 1e-9 * x * RADIUS,
         lambda x, y: (torch.hypot(x - 16, y - 16) < RADIUS).float() * SHADE,

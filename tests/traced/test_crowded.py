@@ -87,3 +87,49 @@ def test_screens_of_few_pixels(size: tuple[int, int], boundary: str) -> None:
             warnings.filterwarnings("ignore", "no gradient reaches")
             picture.backward()
         assert share.grad is not None and share.grad.isfinite()
+
+
+def test_noise_falls_with_the_samples_where_many_changes_are_near() -> None:
+    """A checkerboard of 2.5 px cells, by its angle and frequency: -48 and 37 (finite differences). At 256 samples it was known to 47 and 21, where
+    segments that may be followed were no more than at 64."""
+    weight = torch.rand(16, 16, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    found = []
+    for seed in range(6):
+        p = torch.tensor([0.3, 1 / 2.5], requires_grad=True)
+
+        def checkerboard(x: Tensor, y: Tensor, p: Tensor = p) -> Tensor:
+            u, v = (torch.cos(p[0]) * x + torch.sin(p[0]) * y) * p[1], (torch.cos(p[0]) * y - torch.sin(p[0]) * x) * p[1]
+            return (u.floor() + v.floor()) % 2
+
+        picture = mcaa.Supersampler((16, 16), spp=256, seed=seed, estimator=mcaa.Shared())(checkerboard)
+        found.append(torch.autograd.grad((picture * weight).sum(), p)[0])
+    off = torch.stack(found) - torch.tensor([37.1, -48.0])
+    assert float(off[:, 0].square().mean().sqrt()) < 3 and float(off[:, 1].square().mean().sqrt()) < 9
+
+
+def hashed(cell: Tensor) -> Tensor:
+    """In [0, 1), and another one where a last digit is."""
+    return torch.frac(torch.sin(cell * 12.9898) * 43758.5453).abs()
+
+
+def test_what_rounding_makes_another_of_is_differentiated_as_it_is_drawn() -> None:
+    """Discs of hashed radii in squares of 3.4 px: 2 pi r^2 of each, by a factor of all radii. In float64 they have other radii.
+
+    Of 910 close looks two are off, which is no crowd: the chance is that of lines that lie evenly.
+    """
+    factor, pitch = torch.tensor(1.0, requires_grad=True), 3.4
+    i, j = torch.meshgrid(torch.arange(1.0, 5.0), torch.arange(1.0, 5.0), indexing="ij")
+    radius = (0.2 + 0.2 * hashed(i + 7 * j)) * pitch
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        u, v = x / pitch, y / pitch
+        i, j = u.floor(), v.floor()
+        inside = (i >= 1) & (i <= 4) & (j >= 1) & (j <= 4)
+        r = 0.2 + 0.2 * hashed(i + 7 * j)
+        return ((torch.hypot(u - i - 0.5, v - j - 0.5) < factor * r) & inside).to(x.dtype)
+
+    truth = 2 * math.pi * float(radius.square().sum())
+    for seed in range(3):
+        picture = mcaa.Supersampler((20, 20), spp=256, seed=seed, estimator=mcaa.Shared())(f)
+        (found,) = torch.autograd.grad(picture.sum(), factor)
+        assert float(found) == pytest.approx(truth, rel=0.02)

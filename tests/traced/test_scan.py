@@ -11,6 +11,7 @@ from torch import Tensor
 
 import torch_mcaa as mcaa
 from torch_mcaa.grid import Cell, Screen
+from torch_mcaa.picking import one_of_each
 from torch_mcaa.traced.boundary import Elements, elements
 from torch_mcaa.traced.scan import share
 
@@ -165,3 +166,14 @@ def test_elements_that_were_left_out_count() -> None:
     mean, error = sum(totals) / 40, float(torch.tensor(totals).std()) / 40**0.5
     assert abs(mean - length) < 4.42 * error and error < 0.02 * length
     assert max(kept) < 0.8 * 3 * 40 * 40 * 1.4 / float(width)
+
+
+@pytest.mark.parametrize(("count", "runs"), [(7, 7), (10, 4), (1000, 37)])
+def test_one_of_each_run_counts_for_all_of_it(count: int, runs: int) -> None:
+    """Each run has one, the chances are those of its size, and what is taken counts for as many as there are."""
+    at, chance = one_of_each(count, runs, torch.rand(runs, generator=torch.Generator().manual_seed(3), dtype=torch.float64))
+    ends = torch.arange(runs + 1) * count // runs
+    assert bool(((at >= ends[:-1]) & (at < ends[1:])).all())
+    assert float((1 / chance).sum()) == pytest.approx(count)
+    last, _ = one_of_each(count, runs, torch.full((runs,), 1 - 2.0**-53, dtype=torch.float64))
+    assert torch.equal(last, ends[1:] - 1)

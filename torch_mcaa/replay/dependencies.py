@@ -83,6 +83,12 @@ def dependencies(integrand: Integrand, x: Tensor, y: Tensor) -> Dependencies:
                         ) from error
                 raise
     outside = {key: tensor for key, tensor in runs[0].noted.items() if key in runs[1].noted}
+    for tensor in outside.values():
+        if tensor.is_inference():
+            raise McaaError(
+                f"f uses a tensor of shape {tuple(tensor.shape)} that requires a gradient and was made under torch.inference_mode(), "
+                "where there is no graph for one; make it, or the module that holds it, outside"
+            )
     (nodes, leaves), (others, others_leaves) = (_walk(values, outside.values()) for values in graphs)
     _check_seen(nodes & others)
     common = {key: leaf for key, leaf in leaves.items() if key in others_leaves}

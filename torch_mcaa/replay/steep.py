@@ -40,6 +40,7 @@ def steep(task: Task, program: Program, tensors: Sequence[Tensor], spp: int) -> 
         found = found.take(found.left() > 0.5)
     assert found is not None
     found = found.take(found.stands_out())
+    found = found.take(found.alone(asked))
     last = found.halved(asked, STEPS - halvings)
     sheer = last.left() > 0.5
     for k, place in enumerate(sheer.tolist()[:_DIFFERENTIATED]):

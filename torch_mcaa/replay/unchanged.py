@@ -58,7 +58,8 @@ class Noted:
 def _changed(what: str) -> McaaError:
     return McaaError(
         f"{what} changed between the forward and the backward pass, which asks f again: its gradient would be that of something else; call "
-        "backward() before the change, and let f read tensors and numbers that stay, as by lambda x, y, k=k: ..."
+        "backward() before the change, and let f read tensors and numbers that stay, as by lambda x, y, k=k: ... (torch.func.functional_call "
+        "puts parameters back when it returns: call it inside f)"
     )
 
 

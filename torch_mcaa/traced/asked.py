@@ -42,8 +42,8 @@ class Asked:
         self.channels = 1
 
     def hold_to_rounding(self, cell: Cell, seed: int) -> None:
-        """Ask f in the picture's dtype alone from now on if rounding makes another f of it, as of one that hashes: if it decides otherwise at a few of
-        some random places of the cell in float64.
+        """Ask f in the picture's dtype alone from now on if rounding makes another f of it, as of one that hashes: if in float64 it decides
+        otherwise at a few of some random places of the cell.
         """
         if self.coarse == self.precision:
             return

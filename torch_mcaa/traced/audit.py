@@ -180,6 +180,7 @@ def untraced(
     left = part.halved(asked, STEPS - _NARROW)
     least = _TOUCHED * some.size().amax() if len(some) else 0.0
     thin = part.take((part.left() > 0.5) & part.stands_out() & (part.size() > least))
+    thin = thin.take(thin.alone(asked))
     ends = thin.halved(asked, STEPS - _NARROW)
     jump, ramp = left.take((left.left() > PART) & left.stands_out()), ends.take(ends.left() <= PART)
     jumps, ramps = _largest(screen, jump, jump.jump), _largest(screen, ramp, ramp.change)

@@ -16,6 +16,7 @@ _ROUNDING = 1e-5
 """What is no change, in magnitudes of f."""
 _STANDS_OUT = 0.05
 """Of what f changes by along the whole piece, the least of a jump."""
+_FEW = 4
 _STAGES = (4, 16)
 """Of the pieces, halved twice, one in so many, the sharpest, are halved twice more."""
 HALVED = 2 + 2 * len(_STAGES)
@@ -70,6 +71,17 @@ class Pieces:
     def stands_out(self) -> Tensor:
         """bool (N,): where a jump is no rounding, and not the foot of a wider ramp."""
         return (self.jump > _STANDS_OUT * self.across).any(0)
+
+    def alone(self, asked: Asked) -> Tensor:
+        """bool (N,): where f changes in what is left by over half of what it does a few lengths around it: no end of a wider ramp."""
+        middle, beside = (self.low + self.high) / 2, _FEW * (self.high - self.low)
+        share = torch.stack([middle - beside, middle + beside]).clamp(0, 1)
+        around = asked.values(*(place.flatten() for place in self.at(share)))[0].unflatten(1, (2, -1)).movedim(1, 0)
+        inside, all_of_it = (
+            (values.amax(0) - values.amin(0)).gather(0, self.channel(self.jump)[None])[0]
+            for values in (self.values, torch.cat([self.values, around]))
+        )
+        return inside > 0.5 * all_of_it
 
     def _relative(self, jumps: Tensor) -> Tensor:
         return jumps / self.range[:, None]

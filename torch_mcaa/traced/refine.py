@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -150,8 +149,8 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
 
     The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
     foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
-    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than a quarter of `most` at once, as
-    where f is noise, so many are kept at random, and count for the others.
+    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than a third of `most` at once, as
+    where f is noise, those of about as many are kept, on lines that lie evenly, and count for the others.
     """
     segments = found.brackets
     first = _straight(segments, found.margin)
