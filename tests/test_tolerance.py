@@ -134,7 +134,10 @@ def test_a_block_that_jumps_and_was_sampled_after_all_is_not_taken_for_calm() ->
     model = torch.full((64, 96), PLAIN, dtype=torch.uint8)
     model[5, 7], model[40:50, 40:50] = LOCATED, SAMPLED
     jumps, none = Verdict.JUMPS, Verdict.NONE
-    _mark_crowded(model, cell, torch.tensor([jumps, jumps, none, none, jumps, none]))
+    verdict = torch.tensor([jumps, jumps, none, none, jumps, none])
+    _mark_crowded(once := model.clone(), cell, verdict, False)
+    assert bool((once[:32] == model[:32]).all()) and bool((once[40:50, 40:50] == CROWDED).all())
+    _mark_crowded(model, cell, verdict, True)
     assert set(model[:32, :32].flatten().tolist()) == {PLAIN, LOCATED}
     assert bool((model[:32, 32:64] == CROWDED).all()) and bool((model[:, 64:] == PLAIN).all())
     assert bool((model[32:, 32:64] == CROWDED).all()) and bool((model[32:, :32] == PLAIN).all())

@@ -151,7 +151,7 @@ class PilotedRound(Round):
                 sampled_further(self.parts, part, cell, poorest, edges, left, None if most is None else self.spp)
         else:
             sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
-        _mark_crowded(part.model, cell, judged.verdict)
+        _mark_crowded(part.model, cell, judged.verdict, self.wanted is not None)
         return part.estimate()
 
     def _edges(self, seen: _Seen, part: Part, cell: Cell, left: int) -> tuple[Tensor | None, int]:
@@ -223,10 +223,10 @@ class PilotedRound(Round):
         )
 
 
-def _mark_crowded(model: Tensor, cell: Cell, verdict: Tensor) -> None:
-    """Where f jumps and was sampled: there by design, or as all that came of locating jumps in a block."""
+def _mark_crowded(model: Tensor, cell: Cell, verdict: Tensor, again: bool) -> None:
+    """Where f jumps and was sampled: there by design, or, if there may be another round, as all that came of locating jumps in a block."""
     jumps = (verdict == Verdict.JUMPS).to(model.device)
-    without = jumps & (by_block(located(model), cell) == 0)
+    without = jumps & (by_block(located(model), cell) == 0) & again
     crowded, empty = (by_pixel(some.view(shape_of(cell)), cell) for some in (jumps, without))
     model[(crowded & (model == SAMPLED)) | (empty & (model == PLAIN))] = CROWDED
 

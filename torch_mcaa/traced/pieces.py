@@ -17,6 +17,7 @@ _ROUNDING = 1e-5
 _STANDS_OUT = 0.05
 """Of what f changes by along the whole piece, the least of a jump."""
 _FEW = 4
+"""Lengths of what is left of a piece, that it is compared with what is around it over."""
 _STAGES = (4, 16)
 """Of the pieces, halved twice, one in so many, the sharpest, are halved twice more."""
 HALVED = 2 + 2 * len(_STAGES)
