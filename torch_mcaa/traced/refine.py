@@ -24,7 +24,7 @@ _FREQUENT, _TRIED, _KEPT = 256, 32, 16
 _SMOOTH = 0.02
 """A jump is at least so much of what f changes by in segments of 1 px."""
 _WORTH, _LINES = 0x3057, 0x11E5
-_DEARER = 3
+_DEARER = 2
 """Of the segments that may be followed, one in so many may be quartered at once, which costs most."""
 _TIMES = 100
 """A margin that changes so many times more than its slope explains is not continuous."""
@@ -94,18 +94,19 @@ def on_some_lines(found: Segments, most: int, seed: int) -> Segments:
     """
     if len(found.cause) <= most:
         return found
-    kept, chance = _some_lines(found.brackets.line, most / len(found.cause), seed)
+    kept, chance = _some_lines(found.brackets.line, most / len(found.cause), seed, 0)
     return found.take(kept, chance)
 
 
-def _some_lines(line: Tensor, part: float, seed: int) -> tuple[Tensor, float]:
+def _some_lines(line: Tensor, part: float, seed: int, stage: int) -> tuple[Tensor, float]:
     """bool (N,): what lies on about that part of the lines, at least one, and the exact part of them.
 
     Evenly spaced from a random first one: lines that are left out at random would cost most of what even ones are worth.
     """
     lines, which = line.unique(return_inverse=True)
     some = max(1, len(lines) // max(1, round(1 / part)))
-    first = rng.uniform(seed, _LINES, dtype=torch.float64).to(line.device)
+    # of another part, and of what another stage has left, independent
+    first = rng.uniform(seed, _LINES, stage, int(lines[0]), dtype=torch.float64).to(line.device)
     kept = torch.zeros_like(lines, dtype=torch.bool)
     kept[((torch.arange(some, device=line.device) + first) * len(lines) / some).long()] = True
     return kept[which], some / len(lines)
@@ -149,7 +150,7 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
 
     The margin of the first decision that differs is known at both ends; with that at one place more, found by a straight line, its root is
     foretold: where the signatures on either side of that are those of the ends, nothing else lies between. The others are quartered, and
-    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than a third of `most` at once, as
+    all quarters kept where they differ: margins that lead astray cost evaluations, no accuracy. Of more than half of `most` at once, as
     where f is noise, those of about as many are kept, on lines that lie evenly, and count for the others.
     """
     segments = found.brackets
@@ -177,7 +178,7 @@ def refined(asked: Asked, found: Segments, most: int, seed: int, sloped: bool = 
     rest.append(one.take(~hit).split(torch.stack([missed.low, missed.high]), tried.signatures[:, ~hit]))
     dear, cheap = joined(rest), tried.take(hit)
     if len(dear) * _DEARER > most:
-        kept, chance = _some_lines(torch.cat([dear.line, cheap.brackets.line]), most / (_DEARER * len(dear)), seed)
+        kept, chance = _some_lines(torch.cat([dear.line, cheap.brackets.line]), most / (_DEARER * len(dear)), seed, 1)
         dear, cheap = dear.take(kept[: len(dear)], chance), cheap.take(kept[len(dear) :], chance)
     halved = _examined(asked, _quartered(asked, dear, _NARROW, most, seed), sloped)
     changes = _joined([cheap, halved])
