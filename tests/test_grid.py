@@ -125,11 +125,13 @@ def test_float32_is_taken_only_where_it_is_fine_enough(x0: float, length: float,
 @pytest.mark.parametrize(
     "estimator", [mcaa.Auto(), mcaa.JumpCorrected(), mcaa.Shared(), mcaa.Shared(mcaa.Sobol()), mcaa.Importance()], ids=repr
 )
-def test_a_far_pixel_is_sampled_as_finely_as_the_first(estimator: mcaa.Auto) -> None:
+def test_a_far_pixel_is_sampled_as_finely_as_the_first(estimator: mcaa.Auto, monkeypatch: pytest.MonkeyPatch) -> None:
     """At 10^6 float32 steps by 1/16 px: f would see 16 offsets. What it sees are the near points moved, to float32's rounding near 0.
 
     32 evaluations a pixel: samples on lines 1 px apart have only as many offsets as there are lines, and 16 would tell nothing.
+    What is asked in float32 and in float64, to compare them, is left out: far off all is float64.
     """
+    monkeypatch.setattr("torch_mcaa.estimators.piloted.hold_to_rounding", lambda *arguments: None)
     seen: list[tuple[Tensor, Tensor]] = []
 
     def f(x: Tensor, y: Tensor) -> Tensor:
