@@ -70,6 +70,13 @@ def test_what_next_to_no_sample_meets_hangs_on_their_number(steepness: float, sp
         assert len(messages) == many and all("within 1/" in message for message in messages)
 
 
+@pytest.mark.parametrize("spp", [1, 4, 8])
+def test_few_samples_and_an_f_of_which_nothing_can_be_told(spp: int) -> None:
+    """One that is random, one that is flat, and one that decides everywhere: no ramp, and no pieces to halve."""
+    for f in (lambda x, y: SHADE * torch.rand_like(x), lambda x, y: SHADE + 0 * x, lambda x, y: SHADE * (1e4 * x).floor()):
+        assert not any("f changes by" in message for message in said(f, (8, 8), spp=spp))
+
+
 def test_ramps_beside_stronger_texture_and_in_another_channel_are_said() -> None:
     """Texture that changes by three times as much in a pixel, or by ten times, in the other channel."""
     ramp = disc(torch.sigmoid, 1e6)

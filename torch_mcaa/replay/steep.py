@@ -33,13 +33,16 @@ def steep(task: Task, program: Program, tensors: Sequence[Tensor], spp: int) -> 
     asked = Asked(task.integrand.function, screen, program.all_moving(), task.dtype, task.device, None)
     found = pieces(asked, task.seed, max(_FEWEST, min(_LOOKED, screen.width * screen.height // 4)), _FOLLOWED)
     halvings = max(HALVED, narrow(spp))
+    if found is None:
+        return ""
     for _ in range(halvings - HALVED):
-        if found is None or not len(found):
+        if not len(found):
             return ""
         found = found.halved(asked, 1)
         found = found.take(found.left() > 0.5)
-    assert found is not None
     found = found.take(found.stands_out())
+    if not len(found):
+        return ""
     found = found.take(found.alone(asked))
     last = found.halved(asked, STEPS - halvings)
     sheer = last.left() > 0.5

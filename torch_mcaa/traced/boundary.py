@@ -135,7 +135,7 @@ def elements(
         scans += [] if fine is None else [(worthwhile(asked, fine, most // 2, seed), most // 2, 1 / FINE)]
     # what is known of a change while it is looked for is five times as much as of an element
     parts = [
-        _weighed(refined(asked, part, many * len(part.cause) // max(1, len(found.cause)), seed), lines, length)
+        _weighed(refined(asked, part, max(1, many * len(part.cause) // max(1, len(found.cause))), seed), lines, length)
         for found, many, length in scans
         for part in on_some_lines(found, many, seed).by_lines(_SOME)
     ]
