@@ -615,3 +615,14 @@ def test_a_sign_by_division_moves() -> None:
     layer = mcaa.Supersampler((64, 64), spp=64, estimator=mcaa.Shared())
     layer(lambda x, y: torch.sin(2 * x) + 0.1 * (x - edge) / (x - edge).abs()).sum().backward()
     assert edge.grad is not None and abs(float(edge.grad) + 0.2 * 64) < 0.2
+
+
+@pytest.mark.parametrize("made", [mcaa.Supersampler((4, 4)), lambda f: mcaa.render(f, (4, 4)).image])
+def test_a_picture_is_not_made_inside_an_f_that_is_followed(made: Any) -> None:
+    edge = torch.tensor(2.0, requires_grad=True)
+
+    def f(x: Tensor, y: Tensor) -> tuple[Tensor, ...]:
+        return mcaa.Texture(made(lambda x, y: (x < edge).to(x)))(x, y)
+
+    with pytest.raises(McaaError, match="made inside an f"):
+        mcaa.Supersampler((8, 8))(f)

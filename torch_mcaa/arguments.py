@@ -13,6 +13,7 @@ from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function, Integrand
 from torch_mcaa.rng import check_seed
 from torch_mcaa.texture import Texture
+from torch_mcaa.traced.trace import watched
 
 
 def task_of(
@@ -31,6 +32,10 @@ def task_of(
     Raises:
         McaaError: an argument that cannot be used.
     """
+    if watched():
+        raise McaaError(
+            "a picture cannot be made inside an f whose decisions are followed; make it before, and let f read it: Texture(picture)"
+        )
     if not callable(f):
         raise McaaError(f"f must be a function of two tensors x, y, got {type(f).__name__}; wrap an image in Texture(image)")
     if isinstance(f, type):

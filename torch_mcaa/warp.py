@@ -96,7 +96,8 @@ def _check_fill(fill_value: object, shape: tuple[int, ...]) -> None:
         if given in ((), (1,), shape[1:2]) or (len(given) == 4 and all(a in (1, b) for a, b in zip(given, shape, strict=True))):
             return
     raise McaaError(
-        f"fill_value must be a tensor ({shape[1]},), a number for each channel, or one that broadcasts to {shape}, got {described(fill_value)}"
+        f"fill_value must be a tensor ({shape[1]},), a number for each channel, or one that broadcasts to {shape}, got {described(fill_value)}; "
+        "pass for instance torch.tensor([0.2, 0.5, 0.1])"
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
-from torch.overrides import TorchFunctionMode
+from torch.overrides import TorchFunctionMode, _get_current_function_mode_stack
 
 from torch_mcaa.errors import HOMES, McaaError
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, in_place
@@ -80,6 +80,11 @@ class Watch(TorchFunctionMode):
                 self._visit(self.number, decision, func)
             self.number += 1
         return result
+
+
+def watched() -> bool:
+    """Whether the code that runs is an f whose decisions are being followed."""
+    return any(isinstance(mode, Watch) for mode in _get_current_function_mode_stack())
 
 
 class Traced:
