@@ -66,6 +66,12 @@ def test_resize(interpolation: Any, align_corners: bool | None) -> None:
     assert float((off > 1e-3).double().mean()) <= (4e-3 if interpolation == "nearest-exact" else 0)
 
 
+@pytest.mark.parametrize("interpolation", ["nearest", "bilinear", "bicubic"])
+def test_one_texel_is_the_same_everywhere(interpolation: Any) -> None:
+    src = torch.rand(1, 2, 1, 1, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(mcaa.resize(src, (4, 6), interpolation, align_corners=True), src.expand(1, 2, 4, 6))
+
+
 def test_area_is_the_mean_over_each_pixel() -> None:
     src = pictures(2, 3, 20, 24)
     torch.testing.assert_close(mcaa.resize(src, (5, 6), "area"), kornia_transform.resize(src, (5, 6), "area"), rtol=0, atol=1e-13)

@@ -18,9 +18,10 @@ Nonfinite = Literal["raise", "ignore", "propagate"]
 
 # PyTorch cuts loops of over 2^15 elements into equal parts, at most four for a block. A block's points are a multiple of 12 x 256, so that
 # every part of every number of threads is whole vectors and no loop over points has a tail of scalars: in the tail atan2, sigmoid and pow
-# give other last bits, and where it lies would depend on the number of threads.
+# give other last bits, and where it lies would depend on the number of threads. Of fewer points than are cut, pairs of vectors are enough: 64
+# numbers of half precision.
 _GRAIN = 2**15
-_WHOLE = 256
+_WHOLE, _FEW = 256, 64
 # One call of f on a CPU sees at most this many points: few enough to stay in the cache, enough to pay for the call.
 BLOCK = 4 * _GRAIN // (12 * _WHOLE) * (12 * _WHOLE)
 _WIDE, _CALLED = 64, 16
@@ -141,7 +142,7 @@ def channels_of(returned: object, x: Tensor, dtype: torch.dtype) -> list[Tensor]
 def _flat(places: Tensor, shape: torch.Size) -> Tensor:
     """The places in one row, the last one repeated until the row is whole."""
     count = shape.numel()
-    whole = _WHOLE if count <= _GRAIN else 12 * _WHOLE
+    whole = _FEW if count <= _GRAIN else 12 * _WHOLE
     row = places.new_empty(-(-count // whole) * whole)
     row[:count].view(shape).copy_(places)
     if len(row) > count:
@@ -169,7 +170,7 @@ def _checked(value: object, x: Tensor, dtype: torch.dtype) -> Tensor:
         raise McaaError(f"each channel that f returns must be a tensor of shape {tuple(x.shape)}, got {described(value)}")
     if value.device != x.device:
         raise McaaError(
-            f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or pass device={str(value.device)!r}"
+            f"f was asked on {x.device} and returned a tensor on {value.device}; move what f uses to {x.device}, or ask for the picture there"
         )
     if value.layout != torch.strided:
         raise McaaError(f"f returned a tensor of layout {value.layout}; return value.to_dense()")

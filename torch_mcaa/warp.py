@@ -64,7 +64,7 @@ def warp_perspective(
         McaaError: an argument that cannot be used, among them an M that is not invertible.
     """
     if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
-        raise McaaError(f"M must be a dense tensor (B, 3, 3), got {described(M)}")
+        raise McaaError(f"M must be a dense tensor (B, 3, 3), got {described(M)}; for one matrix pass M[None]")
     _check(src, M, padding_mode, align_corners)
     layer = _layer(dsize, filter, spp, seed)
     if fill_value is not None:
@@ -124,7 +124,7 @@ def warp_affine(
         McaaError: as `warp_perspective`.
     """
     if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (2, 3)):
-        raise McaaError(f"M must be a dense tensor (B, 2, 3), got {described(M)}")
+        raise McaaError(f"M must be a dense tensor (B, 2, 3), got {described(M)}; for one matrix pass M[None]")
     last = torch.tensor([0.0, 0.0, 1.0]).to(M).expand(len(M), 1, 3)
     return warp_perspective(
         src,
@@ -174,7 +174,9 @@ def resize(
         McaaError: an argument that cannot be used.
     """
     if not pictures(input) or input.ndim < 2:
-        raise McaaError(f"input must be a dense floating tensor (..., H, W) that is not empty, got {described(input)}")
+        raise McaaError(
+            f"input must be a dense floating tensor (..., H, W) that is not empty, got {described(input)}; of bytes pass input / 255"
+        )
     if not isinstance(antialias, bool) or not (align_corners is None or isinstance(align_corners, bool)):
         raise McaaError(
             f"align_corners must be True, False or None, and antialias True or False, got {align_corners!r} and {antialias!r}"
@@ -188,7 +190,8 @@ def resize(
     layer = _layer(size, Box() if interpolation == "area" and filter is None else filter, spp, seed)
     image, transform = input.reshape(-1, height, width), None
     if align_corners:
-        steps = [(given - 1) / max(1, wanted - 1) for given, wanted in zip((height, width), size, strict=True)]
+        # one texel is the same everywhere
+        steps = [max(1, given - 1) / max(1, wanted - 1) for given, wanted in zip((height, width), size, strict=True)]
         transform = torch.tensor(
             [[steps[1], 0, 0.5 - steps[1] / 2], [0, steps[0], 0.5 - steps[0] / 2], [0, 0, 1]], dtype=torch.float64
         )
@@ -249,7 +252,10 @@ def _of(layer: Supersampler, texture: Texture, estimator: Estimator | None, like
 
 def _check(src: object, M: Tensor, padding_mode: str, align_corners: object) -> None:
     if not pictures(src) or src.ndim != 4:
-        raise McaaError(f"src must be a dense floating tensor (B, C, H, W) that is not empty, got {described(src)}")
+        raise McaaError(
+            f"src must be a dense floating tensor (B, C, H, W) that is not empty, got {described(src)}; of bytes pass src / 255, "
+            "of one picture src[None]"
+        )
     if len(M) not in (1, len(src)):
         raise McaaError(f"src has {len(src)} pictures and M {len(M)} maps; give one map for each, or one for all")
     if not isinstance(align_corners, bool):

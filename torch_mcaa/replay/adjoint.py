@@ -56,7 +56,7 @@ class Adjoint:
         total = torch.zeros(self.period, dtype=torch.float64).index_add(0, phase, filter(x, y).sum((0, 2)))[phase]
         if not bool((total != 0).all()):
             raise McaaError(
-                f"none of the {strip.count / strip.period:g} samples a pixel meets {filter}: raise spp, or take a wider filter"
+                f"no sample lies inside {filter} in some pixels, at {strip.count / strip.period:.2g} a pixel: raise spp, or take a wider filter"
             )
 
         def place(tensor: Tensor) -> Tensor:

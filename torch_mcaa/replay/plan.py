@@ -20,6 +20,7 @@ from torch_mcaa.replay.dependencies import dependencies, unheard
 from torch_mcaa.replay.gradients import Replay
 from torch_mcaa.replay.moved import Moved, is_continuous
 from torch_mcaa.replay.steep import steep
+from torch_mcaa.replay.straight_through import straight_through
 from torch_mcaa.replay.unchanged import Noted
 from torch_mcaa.texture import Texture
 from torch_mcaa.traced.followed import Followed
@@ -35,7 +36,7 @@ def plan(
     """The backward pass of the picture of `task`, whose f runs under `autocast`.
 
     extent: the tensor that the screen's extent is from, if it is to have a gradient. decorrelate: points of its own.
-    discontinuities: jumps count too. look: for ramps that are jumps to all samples.
+    discontinuities: jumps count too. look: for ramps that are jumps to all samples, and for slopes that f's values do not have.
 
     Warns (`McaaWarning`) where no gradient will reach what f uses, or a module's parameters.
 
@@ -58,8 +59,9 @@ def plan(
     if found.tensors and discontinuities and not (isinstance(f, Texture) and not _asks(f.transform)):
         deciding = _deciding(task, exact)
         program = _program(deciding)
-        if look and not program.problems and (place := _steep(deciding, program, found.tensors, spp)):
-            warn(place)
+        if look:
+            for said in _looked(deciding, program, found.tensors, spp):
+                warn(said)
     elif not found.tensors and discontinuities and not isinstance(f, Texture) and (hidden := _hidden(task)):
         warn(
             f"{hidden}; f uses no tensor that requires a gradient where that can be seen, and the picture gets no gradient from what it "
@@ -135,9 +137,11 @@ def _program(task: Task) -> Program:
     return program
 
 
-def _steep(task: Task, program: Program, tensors: Sequence[Tensor], spp: int) -> str:
+def _looked(task: Task, program: Program, tensors: Sequence[Tensor], spp: int) -> list[str]:
+    """What is found of f where it is not seen to decide."""
     with unheard(), torch.no_grad():
-        return steep(task, program, tensors, spp)
+        ramps = "" if program.problems else steep(task, program, tensors, spp)
+        return [said for said in (ramps, straight_through(task, program) if program.moves else "") if said]
 
 
 def _asks(tensor: Tensor | None) -> bool:
