@@ -153,12 +153,13 @@ def _rendering(work: Rounds, stopped: Stopped, seconds: float) -> Rendering:
         )
     # differences of infinite variances say nothing
     stderr = picture.variance.nan_to_num_(nan=torch.inf, posinf=torch.inf).sqrt_()
-    largest = picture.value.nan_to_num(0.0).abs().amax()
-    if bool(largest.square().isinf()) and bool(stderr.isinf().any()):
-        warn(
-            f"f has values of {float(largest):.3g}, whose squares are beyond {picture.value.dtype}: standard errors of +inf; scale f, or take "
-            "float64"
-        )
+    if bool(stderr.amax().isinf()):
+        largest = picture.value.nan_to_num(0.0).abs().amax()
+        if bool(largest.square().isinf()):
+            warn(
+                f"f has values of {float(largest):.3g}, whose squares are beyond {picture.value.dtype}: standard errors of +inf; scale f, or "
+                "take float64"
+            )
     return Rendering(
         image=picture.value,
         stderr=stderr,

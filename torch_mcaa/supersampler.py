@@ -38,7 +38,7 @@ class Supersampler(torch.nn.Module):
     (parameters of a module, tensors of a closure), and, with the derivative moved onto the filter, with respect to an `extent`, the
     `transform` of a `Texture` and the std of a `Gaussian`. The forward pass keeps no tape: the backward pass evaluates f again, in blocks, so
     memory does not grow with `spp`. The variables that a plain Python function f reads are held at what they were; whatever else f reads must
-    not change between the two (McaaError), and f must not draw random numbers.
+    not change between the two (McaaError; PyTorch's own error for a change in place), and f must not draw random numbers (a warning).
 
     A `Texture` whose rows and columns are the screen's, such as those of a batch, is exact under `Auto()`, and so is the gradient of its texels.
 

@@ -11,8 +11,8 @@ from torch_mcaa.estimators.lattice.lattice_weights import Geometry, LatticeWeigh
 from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK, width_of
 
-# planes are weighed along x in blocks of f's size, and summed along y once for so many blocks: fewer, longer products
-_BLOCKS_A_BATCH = 2
+_PLANES = 24
+"""Planes are weighed along x in blocks of f's size, and summed along y about so many at once: shorter products wait for their sums."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Splat:
 
         self.norm = None if norm is None else place(norm)
         self.response = place(response)
-        size = _BLOCKS_A_BATCH * self.group
+        size = self.group * max(1, round(_PLANES / self.group))
         self.batches: list[Batch] = []
         for start in range(0, strip.count, size):
             planes = slice(start, min(start + size, strip.count))
