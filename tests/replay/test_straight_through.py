@@ -66,3 +66,12 @@ def test_a_slope_beside_an_edge_is_told(name: str) -> None:
 @pytest.mark.parametrize("name", OWN)
 def test_slopes_of_values_are_not(name: str) -> None:
     assert not said(OWN[name])
+
+
+def test_nothing_is_asked_beyond_a_closed_screen() -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        assert float(x.min()) >= 0 and float(x.max()) <= 16
+        return _Straight.apply(x - EDGE)
+
+    with pytest.warns(mcaa.McaaWarning, match="straight-through"):
+        mcaa.Supersampler((16, 16), spp=4, estimator=mcaa.Shared(), boundary="zero")(f)

@@ -42,7 +42,11 @@ def straight_through(task: Task, program: Program) -> str:
         told = (far < _FAR * max(screen.height, screen.width)).nonzero()[:, 0]
         for way in (1, -1):
             off = way * far[told] / slope[told]
-            beside, _ = asked.values(col[told] + off * across[told], row[told] + off * down[told])
+            cols, rows = col[told] + off * across[told], row[told] + off * down[told]
+            # a closed screen has nothing beyond
+            within = (cols >= 0) & (cols < screen.width) & (rows >= 0) & (rows < screen.height)
+            told = told[within]
+            beside, _ = asked.values(cols[within], rows[within])
             told = told[(beside == values[:, told]).all(0)]
     if len(told) < _SURE:
         return ""
