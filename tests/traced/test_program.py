@@ -140,6 +140,15 @@ def test_who_declares_a_jump_that_does_not_move_is_told_what_is_lost() -> None:
     assert "item takes a parameter's value out of PyTorch" in problem
 
 
+def test_a_declaration_of_nothing_is_told() -> None:
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        mcaa.level_set(torch.log(-(x - THETA).abs() - 1))
+        return y
+
+    (problem,) = problems(f)
+    assert "level_set is given NaN everywhere" in problem
+
+
 def _constants(x: Tensor, y: Tensor) -> Tensor:
     scale = 1.0 if bool(CONSTANT > 2) else 2.0
     return x * scale * CONSTANT.item() + torch.arange(3.0).sort().values.sum() / THETA

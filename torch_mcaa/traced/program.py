@@ -13,7 +13,7 @@ from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import as_channels
-from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, in_place, made_like, name_of
+from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, in_place, made_like, name_of
 from torch_mcaa.traced.nested import tensors_in
 from torch_mcaa.traced.trace import Site, Watch, changed_program, eagerly, where
 from torch_mcaa.traced.transforms import held
@@ -217,6 +217,8 @@ class _Probe(Watch):
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
+        if func.__name__ == "level_set" and isinstance(decision, Level) and decision.margin and bool(decision.margin().isnan().all()):
+            self.problems.append(f"{where()}: level_set is given NaN everywhere, and declares nothing")
         self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, name_of(func) in _SELDOM))
 
     def _note(self, tensor: Tensor, depends: int) -> None:
