@@ -217,7 +217,12 @@ class _Probe(Watch):
     def _decided(self, number: int, decision: Decision, func: Any) -> None:
         codes = decision.codes
         dim = decision.dim if isinstance(decision, Choice) else None
-        if func.__name__ == "level_set" and isinstance(decision, Level) and decision.margin and bool(decision.margin().isnan().all()):
+        if (
+            func.__name__ == "level_set"
+            and isinstance(decision, Level)
+            and decision.margin
+            and bool(decision.margin().isnan().all())
+        ):
             self.problems.append(f"{where()}: level_set is given NaN everywhere, and declares nothing")
         self.met.append(_Met(func.__name__, where(), tuple(codes.shape), dim, self._now, name_of(func) in _SELDOM))
 
