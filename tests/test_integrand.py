@@ -180,6 +180,21 @@ def test_an_f_that_raises_is_chained_and_placed() -> None:
     assert low < 7 < high
 
 
+def test_an_f_that_raises_where_points_want_a_gradient_is_all_that_is_said() -> None:
+    """PyTorch warns, once a process, of numbers that are made of such points: an f of one dtype alone raises in the other."""
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        raise RuntimeError("no such dtype")
+
+    always = torch.is_warn_always_enabled()
+    torch.set_warn_always(True)
+    try:
+        with pytest.raises(McaaError, match=r"no such dtype.*x in \[0, 3\], y in \[0, 3\]"):
+            Integrand(f)(X.clone().requires_grad_(), X)
+    finally:
+        torch.set_warn_always(always)
+
+
 def test_an_f_of_one_argument() -> None:
     with pytest.raises(McaaError, match="TypeError.*takes 1 positional argument but 2"):
         mcaa.render(lambda p: p, SIZE)  # type: ignore[arg-type,misc]

@@ -86,7 +86,8 @@ class Integrand:
         try:
             returned = self.function(x, y)
         except Exception as error:
-            place = f"x in [{float(x.min()):g}, {float(x.max()):g}], y in [{float(y.min()):g}, {float(y.max()):g}]"
+            (left, right), (top, bottom) = (torch.aminmax(t.detach()) for t in (x, y))
+            place = f"x in [{float(left):g}, {float(right):g}], y in [{float(top):g}, {float(bottom):g}]"
             raise McaaError(f"f raised {type(error).__name__}: {error}; it was asked for {len(x)} points with {place}") from error
         values = [value[:count].view(shape) for value in channels_of(returned, x, self.dtype)]
         if self.channels not in (0, len(values)):
