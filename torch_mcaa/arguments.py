@@ -13,7 +13,7 @@ from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import Function, Integrand
 from torch_mcaa.rng import check_seed
 from torch_mcaa.texture import Texture
-from torch_mcaa.traced.trace import watched
+from torch_mcaa.traced.inside import watched
 
 
 def task_of(

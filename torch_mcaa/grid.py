@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 
 _FINEST_STEP = 2.0**-10
@@ -39,6 +40,12 @@ class Cell:
             for row in range(0, self.height, side)
             for col in range(0, self.width, side)
         ]
+
+    def places(self, count: int, seed: int, *keys: int, device: torch.device | None = None) -> tuple[Tensor, Tensor]:
+        """(count,) float64 columns and rows of places in it, random by the seed and the keys."""
+        index = torch.arange(count, device=device)
+        col, row = (rng.uniform(seed, *keys, axis, index, dtype=torch.float64) for axis in (0, 1))
+        return self.col + col * self.width, self.row + row * self.height
 
     def within(self, other: Cell) -> tuple[slice, slice]:
         """The slices that cut this cell out of planes of another."""
@@ -111,6 +118,11 @@ class Screen:
         return screen
 
     @property
+    def whole(self) -> Cell:
+        """All its pixels."""
+        return Cell(0, 0, self.height, self.width)
+
+    @property
     def pixel_size(self) -> tuple[float, float]:
         """(L1 / N1, L2 / N2): the width and height of a pixel in f's coordinates, negative where the extent runs backwards."""
         x0, x1, y0, y1 = self.extent
@@ -129,7 +141,7 @@ class Screen:
 
         With `strata` = (m1, m2), (24): (m1 width,) and (m2 height,) of the centres of the m1 x m2 sub-pixels of each, in order.
         """
-        cell = cell or Cell(0, 0, self.height, self.width)
+        cell = cell or self.whole
         m1, m2 = strata
         cols = (torch.arange(m1 * cell.col, m1 * (cell.col + cell.width), dtype=torch.float64) + 0.5) / m1
         rows = (torch.arange(m2 * cell.row, m2 * (cell.row + cell.height), dtype=torch.float64) + 0.5) / m2

@@ -63,8 +63,7 @@ def warp_perspective(
     Raises:
         McaaError: an argument that cannot be used, among them an M that is not invertible.
     """
-    if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (3, 3)):
-        raise McaaError(f"M must be a dense tensor (B, 3, 3), got {described(M)}; for one matrix pass M[None]")
+    _check_maps(M, 3)
     _check(src, M, padding_mode, align_corners)
     layer = _layer(dsize, filter, spp, seed)
     if fill_value is not None:
@@ -89,6 +88,12 @@ def warp_perspective(
     return found
 
 
+def _check_maps(M: object, rows: int) -> None:
+    """Raises McaaError for what is no batch of matrices of so many rows and 3 columns."""
+    if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (rows, 3)):
+        raise McaaError(f"M must be a dense tensor (B, {rows}, 3), got {described(M)}; for one matrix pass M[None]")
+
+
 def _check_fill(fill_value: object, shape: tuple[int, ...]) -> None:
     """Raises McaaError for one that is no colour of pictures of this shape."""
     if dense(fill_value) and not fill_value.is_complex():
@@ -97,7 +102,7 @@ def _check_fill(fill_value: object, shape: tuple[int, ...]) -> None:
             return
     raise McaaError(
         f"fill_value must be a tensor ({shape[1]},), a number for each channel, or one that broadcasts to {shape}, got {described(fill_value)}; "
-        "pass for instance torch.tensor([0.2, 0.5, 0.1])"
+        "wrap it in torch.tensor"
     )
 
 
@@ -123,8 +128,7 @@ def warp_affine(
     Raises:
         McaaError: as `warp_perspective`.
     """
-    if not (dense(M) and M.ndim == 3 and M.shape[-2:] == (2, 3)):
-        raise McaaError(f"M must be a dense tensor (B, 2, 3), got {described(M)}; for one matrix pass M[None]")
+    _check_maps(M, 2)
     last = torch.tensor([0.0, 0.0, 1.0]).to(M).expand(len(M), 1, 3)
     return warp_perspective(
         src,

@@ -7,11 +7,11 @@ import pickle
 import re
 import warnings
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 import torch
 import torch.nn.functional as F
+from heard import said
 from torch import Tensor
 
 import torch_mcaa as mcaa
@@ -42,13 +42,6 @@ RAMPS: dict[str, Ramp] = {
 
 def disc(ramp: Ramp, steepness: float) -> Callable[[Tensor, Tensor], Tensor]:
     return lambda x, y: SHADE * ramp(steepness * (RADIUS - torch.hypot(x - 16, y - 16)))
-
-
-def said(f: Any, size: tuple[int, int] = SIZE, **arguments: Any) -> list[str]:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        mcaa.Supersampler(size, estimator=mcaa.Shared(), **arguments)(f)
-    return [str(w.message) for w in caught]
 
 
 @pytest.mark.parametrize("steepness", [1e5, 1e6, 1e9, 1e13])

@@ -46,9 +46,8 @@ def plan(
     f, moved = _held(task, extent)
     exact = bound(f)
     task = replace(task, integrand=replace(task.integrand, function=autocast.of(exact)))
-    col, row = (rng.uniform(task.seed, _PROBE, axis, torch.arange(_PROBED), dtype=torch.float64) for axis in (0, 1))
-    x, y = task.screen.x_of(col * task.screen.width), task.screen.y_of(row * task.screen.height)
-    x, y = (t.to(task.device, task.dtype) for t in (x, y))
+    col, row = task.screen.whole.places(_PROBED, task.seed, _PROBE)
+    x, y = (t.to(task.device, task.dtype) for t in (task.screen.x_of(col), task.screen.y_of(row)))
     found = dependencies(task.integrand, x, y)
     if isinstance(f, torch.nn.Module):
         learned = {id(parameter) for parameter in f.parameters() if parameter.requires_grad}

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound
-from torch_mcaa.grid import Cell
 from torch_mcaa.integrand import BLOCK, width_of
 from torch_mcaa.patterns.lattice import Strip
 
@@ -19,7 +18,7 @@ _TAPED = 4
 
 def strip_of(task: Task, spp: int) -> Strip:
     """The lattice that `Shared(Lattice())` has for `spp` evaluations a pixel: the finest whose points are under the cap."""
-    whole = Cell(0, 0, task.screen.height, task.screen.width)
+    whole = task.screen.whole
     asked = spp
     while True:
         lattice = LatticeRound(task, asked, 0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 
-from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.traced.asked import Asked
@@ -20,13 +19,12 @@ _FAR = 1 / 16
 """Of the screen, the farthest that a place is looked around."""
 
 
+@torch.no_grad()
 def straight_through(task: Task, program: Program) -> str:
     """A sentence if f has slopes at places of which the values on either side say that it has none; empty if not."""
     screen = task.screen
     asked = Asked(task.integrand.function, screen, program, task.dtype, task.device, None)
-    index = torch.arange(_PLACES, device=task.device)
-    col, row = (rng.uniform(task.seed, _STREAM, axis, index, dtype=torch.float64) for axis in (0, 1))
-    col, row = (screen.width * col).requires_grad_(), (screen.height * row).requires_grad_()
+    col, row = (t.requires_grad_() for t in screen.whole.places(_PLACES, task.seed, _STREAM, device=task.device))
     with torch.enable_grad():
         values, _ = asked.run(col, row, lambda: Signatures(task.device))
         if not values.requires_grad:
@@ -36,18 +34,17 @@ def straight_through(task: Task, program: Program) -> str:
         except McaaError:
             # of an operation that no gradient of a tensor's passes none will be asked
             return ""
-    with torch.no_grad():
-        slope = torch.hypot(across, down)
-        far = _CHANGE * values.abs().amax() / slope
-        told = (far < _FAR * max(screen.height, screen.width)).nonzero()[:, 0]
-        for way in (1, -1):
-            off = way * far[told] / slope[told]
-            cols, rows = col[told] + off * across[told], row[told] + off * down[told]
-            # a closed screen has nothing beyond
-            within = (cols >= 0) & (cols < screen.width) & (rows >= 0) & (rows < screen.height)
-            told = told[within]
-            beside, _ = asked.values(cols[within], rows[within])
-            told = told[(beside == values[:, told]).all(0)]
+    slope = torch.hypot(across, down)
+    far = _CHANGE * values.abs().amax() / slope
+    told = (far < _FAR * max(screen.height, screen.width)).nonzero()[:, 0]
+    for way in (1, -1):
+        off = way * far[told] / slope[told]
+        cols, rows = col[told] + off * across[told], row[told] + off * down[told]
+        # a closed screen has nothing beyond
+        within = (cols >= 0) & (cols < screen.width) & (rows >= 0) & (rows < screen.height)
+        told = told[within]
+        beside, _ = asked.values(cols[within], rows[within])
+        told = told[(beside == values[:, told]).all(0)]
     if len(told) < _SURE:
         return ""
     where = f"column {float(col[told[0]]):.3f}, row {float(row[told[0]]):.3f}"

@@ -8,7 +8,6 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Function, Integrand, width_of
@@ -38,7 +37,7 @@ class Asked:
         self.screen, self.program, self.dtype, self.device, self.tally = screen, program, dtype, device, tally
         self.function = function
         self.precision = torch.float64
-        self.coarse = screen.coordinate_dtype(Cell(0, 0, screen.height, screen.width), dtype)
+        self.coarse = screen.coordinate_dtype(screen.whole, dtype)
         self.channels = 1
 
     def hold_to_rounding(self, cell: Cell, seed: int) -> None:
@@ -47,9 +46,7 @@ class Asked:
         """
         if self.coarse == self.precision:
             return
-        index = torch.arange(_COMPARED, device=self.device)
-        col, row = (rng.uniform(seed, _ROUNDED, axis, index, dtype=torch.float64) for axis in (0, 1))
-        col, row = cell.col + col * cell.width, cell.row + row * cell.height
+        col, row = cell.places(_COMPARED, seed, _ROUNDED, device=self.device)
         decided = [self.run(col, row, lambda: Signatures(self.device), coarse)[1].signatures(_COMPARED) for coarse in (False, True)]
         if int((decided[0] != decided[1]).count_nonzero()) >= _SURE:
             self.precision = self.coarse

@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torch_mcaa import rng
 from torch_mcaa.errors import McaaError
 from torch_mcaa.grid import Screen
 from torch_mcaa.integrand import as_channels
@@ -156,11 +155,7 @@ class _Probe(Watch):
         self._leaves: tuple[Tensor, ...] = ()
 
     def call(self, function: Callable[[Tensor, Tensor], Any], screen: Screen, dtype: torch.dtype, device: torch.device) -> None:
-        index = torch.arange(self.points)
-        col, row = (
-            size * rng.uniform(0, _PROBE, axis, index, dtype=torch.float64)
-            for axis, size in enumerate((screen.width, screen.height))
-        )
+        col, row = screen.whole.places(self.points, 0, _PROBE)
         with torch.enable_grad():
             self._leaves = tuple(t.to(device, dtype).requires_grad_() for t in (screen.x_of(col), screen.y_of(row)))
             x, y = (leaf.clone() for leaf in self._leaves)

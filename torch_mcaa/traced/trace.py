@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
-from torch.overrides import TorchFunctionMode, _get_current_function_mode_stack
+from torch.overrides import TorchFunctionMode
 
 from torch_mcaa.errors import HOMES, McaaError
 from torch_mcaa.traced.decisions import ESCAPES, Choice, Decision, Level, in_place
@@ -51,6 +51,9 @@ class Site:
 class Watch(TorchFunctionMode):
     """While it is active, `visit(number, decision)` is called for each decision, in f's order; with `bends` where f bends, too."""
 
+    follows = True
+    """By which `watched` knows it, without this file."""
+
     def __init__(self, visit: Callable[[int, Decision, Any], None], bends: bool = False) -> None:
         super().__init__()
         self._visit, self._bends = visit, bends
@@ -80,11 +83,6 @@ class Watch(TorchFunctionMode):
                 self._visit(self.number, decision, func)
             self.number += 1
         return result
-
-
-def watched() -> bool:
-    """Whether the code that runs is an f whose decisions are being followed."""
-    return any(isinstance(mode, Watch) for mode in _get_current_function_mode_stack())
 
 
 class Traced:

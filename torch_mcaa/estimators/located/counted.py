@@ -207,9 +207,8 @@ class Counted:
 
 def is_random(ask: Counted, seed: int) -> bool:
     """Whether f answers differently when it is asked twice, at 16 random places of the cell; noted in the integrand."""
-    cell, index = ask.cell, torch.arange(_TWICE, device=ask.invalid.device)
-    col, row = (rng.uniform(seed, _STREAM, cell.row, cell.col, axis, index, dtype=torch.float64) for axis in (0, 1))
-    col, row = cell.col + col * cell.width, cell.row + row * cell.height
+    cell = ask.cell
+    col, row = cell.places(_TWICE, seed, _STREAM, cell.row, cell.col, device=ask.invalid.device)
     try:
         first, second = ask(col, row), ask(col, row)
     except Spent:
