@@ -277,12 +277,15 @@ def bands(x: Tensor, y: Tensor) -> Tensor:
     return torch.where(count == 40, 0.0, count % 2)
 
 
-FRACTALS = {"mandelbrot": (scenes.Mandelbrot(48, 48, 32, iterations=50), 1.1), "julia": (julia, 1.1), "bands": (bands, 1.3)}
+FRACTALS = {"mandelbrot": (scenes.Mandelbrot(48, 48, 32, iterations=50), 1.1), "julia": (julia, 1.2), "bands": (bands, 1.4)}
 
 
 @pytest.mark.parametrize("name", FRACTALS)
 def test_fractals_are_sampled(name: str) -> None:
-    """With 32 and 64 evaluations a pixel no worse than a plain lattice of as many, or little where edges go over into detail, and told."""
+    """With 32 and 64 evaluations a pixel little worse than a plain lattice of as many, and told.
+
+    The pilot, what is asked about blocks, and the edges that go over into detail take their part.
+    """
     f, most = FRACTALS[name]
     size, dtype = (96, 96), torch.float64
     truth = mcaa.render(f, size, estimator=mcaa.Shared(), spp=400, seed=77, dtype=dtype).image
@@ -538,7 +541,7 @@ def floor(horizon: float, turn: float, depth: float, narrow: float) -> Callable[
 def test_checkerboards_in_perspective() -> None:
     """Noise at the horizon, which is most of the error, gets more samples than crowded edges, and these do not cost sparse ones their place.
 
-    Measured 0.67 of the error of samples alone, before 0.86.
+    Measured 0.75 of the error of samples alone, with as many evaluations, 0.83 by differences of neighbouring samples alone.
     """
     squares = torch.zeros(2, dtype=torch.float64)
     for f in (floor(45, -0.2, 800, 256), floor(40, 0.4, 1000, 256), floor(55, -0.4, 600, 200)):
@@ -546,7 +549,28 @@ def test_checkerboards_in_perspective() -> None:
         auto, shared = (mcaa.render(f, (256, 256), estimator=e) for e in (mcaa.Auto(), mcaa.Shared()))
         squares += torch.stack([(picture.image - truth).square().mean() for picture in (auto, shared)])
         assert float((auto.model[192:] == LOCATED).to(torch.float64).mean()) > 0.22
-    assert float(squares[0].sqrt()) < 0.7 * float(squares[1].sqrt())
+        assert auto.evaluations < 1.1 * 16 * 256**2
+    assert float(squares[0].sqrt()) < 0.79 * float(squares[1].sqrt())
+
+
+@pytest.mark.parametrize(
+    "case", ["steps of 0.25 px", "steps of 1 px", "0.6 px stripes every 1.5 px", "0.09 px stripes every 0.35 px"]
+)
+def test_what_blocks_ask_about_them_is_counted(case: str) -> None:
+    """All that f is asked, but for the margin about the picture: up to 23 a pixel where the margins of blocks came on top."""
+    scene = CASES[case](torch.Generator().manual_seed(1))
+    asked = []
+
+    def f(x: Tensor, y: Tensor) -> Tensor:
+        asked.append(((x >= 0) & (x < 256) & (y >= 0) & (y < 256)).count_nonzero())
+        return scene(x, y)
+
+    picture = mcaa.render(f, (256, 256), filter=FILTER)
+    assert picture.evaluations < 1.1 * 16 * 256**2
+    inside = int(sum(asked))
+    assert 15.5 * 256**2 < int(picture.spp.sum()) <= 16 * 256**2
+    # rows of points are filled up with their last ones
+    assert int(picture.spp.sum()) <= inside < 1.07 * int(picture.spp.sum())
 
 
 def test_a_second_shift_of_rough_brackets_is_made_where_it_can_be_paid_for() -> None:

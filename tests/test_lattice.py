@@ -112,7 +112,7 @@ def _power(chosen: tuple[int, int, int], edges: np.ndarray) -> float:
 
 @pytest.mark.parametrize("spp", [*np.arange(3, 20, 0.25), 29.5, 64.0, 70.25, 250.0])
 def test_a_lattice_turned_for_edges_is_a_strip_of_so_many_evaluations(spp: float):
-    (period, count, generator), _ = turned(spp, np.ones(DIRECTIONS))
+    (period, count, generator), _ = turned(spp, np.ones(DIRECTIONS), 512)
     assert count % 2 == 1 and 0 < generator < count
     assert spp - 0.3 < (count + 1) / period <= spp
     strip = Lattice().strip(spp, 0, True, (0.3, 0.8), mirrored=True, chosen=(period, count, generator))
@@ -127,7 +127,7 @@ def test_edges_of_known_directions_are_missed(spp: int):
     for first in range(0, DIRECTIONS // 2, 2):
         edges = np.zeros(DIRECTIONS)
         edges[[first, first + DIRECTIONS // 2]] = 1
-        ours += _power(turned(spp, edges).strip, edges)
+        ours += _power(turned(spp, edges, 512).strip, edges)
         table += _power((period, count, generator), edges)
     assert ours < 0.45 * table
 
@@ -135,7 +135,7 @@ def test_edges_of_known_directions_are_missed(spp: int):
 @pytest.mark.parametrize("spp", [8.0, 14.75, 31.5, 60.0])
 def test_of_edges_of_all_directions_the_lattice_is_that_for_smooth_f(spp: float):
     """Nothing is gained for edges, so the longest shortest dual vector counts; and its character sums say what others' do."""
-    (period, count, generator), ratio = turned(spp, np.ones(DIRECTIONS))
+    (period, count, generator), ratio = turned(spp, np.ones(DIRECTIONS), 512)
     longest = max(np.hypot(*dual_vectors(n, g, p).T).min() for p, n in _strips(spp) for g in range(1, n // 2 + 1))
     assert np.hypot(*dual_vectors(count, generator, period).T).min() == pytest.approx(longest, rel=1e-9)
     assert ratio == pytest.approx(CHARACTER_RATIO, rel=0.1)
@@ -155,7 +155,7 @@ def test_character_sums_of_a_lattice_for_some_edges_say_more_than_it_errs(spp: f
     for first in range(0, DIRECTIONS // 2, 2):
         edges = np.zeros(DIRECTIONS)
         edges[first] = 1
-        (period, count, generator), ratio = turned(spp, edges)
+        (period, count, generator), ratio = turned(spp, edges, 512)
         blurred = 0.9 * edges + 0.1 / DIRECTIONS
         halves = dual_vectors(count, generator, period) / 2
         expected = edge_power(halves, angles()) @ blurred / _power((period, count, generator), blurred) - 1
@@ -166,5 +166,5 @@ def test_character_sums_of_a_lattice_for_some_edges_say_more_than_it_errs(spp: f
 
 def test_mirrored_edges_have_the_mirror_image():
     edges = np.exp(-0.1 * np.arange(DIRECTIONS))
-    other = turned(14.75, edges[-np.arange(DIRECTIONS)]).strip
-    assert _power(turned(14.75, edges).strip, edges) == pytest.approx(_power(other, edges[-np.arange(DIRECTIONS)]), rel=1e-9)
+    other = turned(14.75, edges[-np.arange(DIRECTIONS)], 512).strip
+    assert _power(turned(14.75, edges, 512).strip, edges) == pytest.approx(_power(other, edges[-np.arange(DIRECTIONS)]), rel=1e-9)

@@ -55,9 +55,9 @@ def render(
         size: (height, width) in pixels.
         filter: w, by default Gaussian(0.5).
         estimator: by default Auto().
-        spp: a cap on the mean number of evaluations of f in a pixel. What the filter needs about the picture and about the parts it is made in, and
-            points that fill a vector up, come on top, and `Rendering.evaluations` counts them, too: in 256 x 256 pixels at 16 nothing to 10 % where
-            jumps are located everywhere, up to 40 % where many blocks of 32 px are each sampled in their own way, more in small pictures.
+        spp: a cap on the mean number of evaluations of f in a pixel. What the filter needs about the picture, and about the cells that large ones
+            are made in, and points that fill a vector up, come on top, and `Rendering.evaluations` counts them, too: up to 9 % in
+            256 x 256 pixels at 16, more in small pictures.
         tolerance: work until P(|error| <= 2 tolerance) >= 0.95 for every pixel and channel, or the cap is reached.
         seconds: wall time after which the work ends.
         extent: (x0, x1, y0, y1), what the screen covers in f's coordinates.

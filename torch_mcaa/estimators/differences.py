@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.pilot import Verdict
+from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK
 
@@ -13,14 +13,11 @@ _LEAST = 1e-4
 """What is added to the mean square difference of neighbouring samples: a block that shows none has some."""
 _TEXTURE = 0.01
 """The median difference of neighbouring samples, in ranges of the cell, from which on f has detail everywhere."""
-_ALONE, _NOISY = -0.25, 8.0
-"""The correlation of a difference with the next is -0.5 in noise and about 0 where edges lie alone. From the first on differences count for more:
-on noise a lattice errs by three times as much as on edges."""
-_WAVES, _BETWEEN = 0.64, 0.1
-"""The mean product of the sizes of a difference and the next, in mean squares, that fast tones have at least, and how much less is noise for certain:
-that of two colours has 0.5."""
+_DETAILED = 3.5
+"""How much more differences count for where jumps have detail beside them: on noise a lattice errs by four times as much as on edges."""
 _SMOOTH, _RESOLVED = 0.3, 0.25
-"""From this correlation on f is smooth, if it has detail everywhere: what differences count for where it does not jump, too."""
+"""From this correlation of a difference with the next on f is smooth, if it has detail everywhere: what differences count for where it does
+not jump, too."""
 
 
 class Differences:
@@ -41,25 +38,19 @@ class Differences:
         values = self._values / self._span
         return [torch.nn.functional.pad(torch.diff(values, dim=d), pad) for d, pad in ((1, (0, 0, 0, 1)), (2, (0, 1)))]
 
-    def doubt(self, verdict: Tensor) -> Tensor:
-        """(blocks,) float64: how far off lattices of as many points are expected to be, in any unit, in blocks of these verdicts.
+    def doubt(self, judged: Judged) -> Tensor:
+        """(blocks,) float64: how far off lattices of as many points are expected to be, in any unit, in blocks that were judged.
 
-        By the root of the mean square difference, and the mean product of a difference and the next, and that of their sizes, in mean squares.
+        By the root of the mean square difference, the detail that was found beside jumps, and the mean product of a difference and the next.
         """
         steps = self._steps()
         spread = (_LEAST + torch.maximum(*(tile_means(size.square(), BLOCK, BLOCK) for size in _largest(steps)))).sqrt()
         nexts = [step * step.roll(1, d) for d, step in enumerate(steps, 1)]
-        signed, unsigned, square = (
-            tile_means(torch.cat(parts).sum(0), BLOCK, BLOCK)
-            for parts in (nexts, [part.abs() for part in nexts], [step.square() for step in steps])
-        )
+        signed, square = (tile_means(torch.cat(parts).sum(0), BLOCK, BLOCK) for parts in (nexts, [step.square() for step in steps]))
         square.clamp_min_(torch.finfo(square.dtype).tiny)
-        spread, correlation, together = (
-            plane.flatten().to("cpu", torch.float64) for plane in (spread, signed / square, unsigned / square)
-        )
-        changes = verdict >= Verdict.NOISE
-        noise = (_ALONE - correlation).clamp_min(0) * ((_WAVES - together) / _BETWEEN).clamp(0, 1)
-        factor = torch.where(changes, 1 + _NOISY * noise, 1)
+        spread, correlation = (plane.flatten().to("cpu", torch.float64) for plane in (spread, signed / square))
+        changes = judged.verdict >= Verdict.NOISE
+        factor = torch.where(changes, 1 + _DETAILED * judged.detail, 1)
         smooth = ~changes & self.texture & (correlation > _SMOOTH)
         return spread * torch.where(smooth, _RESOLVED, factor)
 

@@ -17,7 +17,7 @@ from torch_mcaa.edges.candidates import Finder
 from torch_mcaa.edges.correction import Window
 from torch_mcaa.edges.lines import Everywhere, Lines
 from torch_mcaa.estimators.base import Estimate, Task, dilated, settled, unseen
-from torch_mcaa.estimators.lattice.lattice_weights import Geometry
+from torch_mcaa.estimators.lattice.lattice_weights import Geometry, reach_of
 from torch_mcaa.estimators.lattice.shared_lattice import LatticeRound, Look
 from torch_mcaa.estimators.located.counted import Counted, Precision
 from torch_mcaa.estimators.located.jump_corrector import Corrector
@@ -44,8 +44,6 @@ PLAIN, LOCATED, FINER, SAMPLED, CROWDED, EXACT, DRAWN = range(7)
 _STREAM, _MORE = 0x6A756D70, 0x4D0
 _SHARE = 0.72
 """Of the evaluations a pixel, what the lattice may take: the rest is for bisection."""
-_COLUMNS = 16
-"""A lattice's columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 _STEP = 0.25
 """Evaluations a pixel: lattices that are chosen by directions come in such steps."""
 _LATTICES = 2
@@ -75,35 +73,26 @@ def lines_for(spp: float) -> int:
 
 @dataclass(frozen=True)
 class Part:
-    """What one part of a cell gave; as `Estimate`, but without the floor.
+    """What one part of a cell gave; as `Estimate`, but without the floor, and without what was asked of f, which `Counted` has.
 
     `density`, a number or (h, w), is the lattice's points a pixel, which the floor depends on.
     """
 
     value: Tensor
     variance: Tensor
-    points: Tensor
-    invalid: Tensor
     heavy: Tensor | None
     model: Tensor
     density: float | Tensor
     blind: Tensor | None = None
 
-    @property
-    def spent(self) -> int:
-        """Evaluations."""
-        return int(self.points.sum())
-
     def cut(self, at: tuple[slice, slice]) -> Part:
         """A rectangle of it, whose planes are parts of these."""
         heavy, blind = (None if plane is None else plane[:, *at] for plane in (self.heavy, self.blind))
-        density = torch.as_tensor(self.density).expand(self.points.shape)[at]
-        return Part(
-            self.value[:, *at], self.variance[:, *at], self.points[at], self.invalid[at], heavy, self.model[at], density, blind
-        )
+        density = torch.as_tensor(self.density).expand(self.model.shape)[at]
+        return Part(self.value[:, *at], self.variance[:, *at], heavy, self.model[at], density, blind)
 
-    def estimate(self) -> Estimate:
-        """With the floor for what its lattice did not meet."""
+    def estimate(self, ask: Counted) -> Estimate:
+        """With the floor for what its lattice did not meet, and all that was asked."""
         density = self.density
         floor = unseen(self.value, density.to(self.value.dtype) if isinstance(density, Tensor) else density)
         variance = settled(self.variance, self.value, floor)
@@ -114,8 +103,8 @@ class Part:
         return Estimate(
             self.value,
             variance,
-            self.points.to(torch.int32),
-            self.invalid.to(torch.int32),
+            ask.points.to(torch.int32),
+            ask.invalid.to(torch.int32),
             heavy=heavy,
             unseen=floor,
             model=self.model.to(torch.uint8),
@@ -134,39 +123,40 @@ class Parts:
         self.fewest = max(1, math.ceil(SOME / held(task, 1)))
         self.seed = int(rng.bits(task.seed, _STREAM, number))
         self.random = False
-        self._lattices: dict[tuple[float, bool, tuple[int, int, int] | None], LatticeRound] = {}
+        self.reach = reach_of(task.filter)
+        self._lattices: dict[tuple[float, bool, tuple[int, int, int] | None, int], LatticeRound] = {}
         self._precision = Precision()
 
     def ask(self, cell: Cell, budget: int) -> Counted:
         """f at places of a part of the screen."""
         return Counted(self.task, cell, budget, self._precision)
 
-    def sampled(self, cell: Cell, spp: float, budget: int, edges: np.ndarray | None = None, continuous: bool = False) -> Part:
-        """A plain lattice of at most `spp` evaluations a pixel and `budget` in all; the one that suits the `edges`, as in `turned`, if given.
+    def sampled(
+        self, ask: Counted, cell: Cell, spp: float, budget: int, edges: np.ndarray | None = None, continuous: bool = False
+    ) -> tuple[Part, int]:
+        """A part by a plain lattice of at most `spp` evaluations a pixel and `budget` in all, and what it took, as counted in `ask`.
 
-        Whose standard error knows that, if f is `continuous`: where it has detail on every scale, this has no directions.
+        The lattice that suits the `edges`, as in `turned`, if given, whose standard error knows that, if f is `continuous`: where it has
+        detail on every scale, this has no directions.
         """
         step = 1 if edges is None or spp < SUITED else _STEP
         spp = math.floor(spp / step) * step
-        lattice, ratio = self._suited(spp, edges)
-        while spp > 1 and lattice.points(cell) > budget:
+        part = cell != ask.cell
+        lattice, ratio = self._suited(spp, edges, cell, part)
+        while spp > 1 and ask.inside(*lattice.asked(cell)) > budget:
             # a cut pattern can hold more than its share
             spp = max(1, spp - step)
-            lattice, ratio = self._suited(spp, edges)
-        whole = cell
-        if self.task.boundary == "extend":
-            whole = Cell(cell.row, cell.col, cell.height, -(-cell.width // _COLUMNS) * _COLUMNS)
-        found = lattice.measured(whole, ratio=ratio if continuous else CHARACTER_RATIO)
-        inner = (..., slice(0, cell.height), slice(0, cell.width))
-        points = lattice.row_points(cell).to(found.value.device, torch.int64)[:, None].expand(cell.height, cell.width)
+            lattice, ratio = self._suited(spp, edges, cell, part)
+        found = lattice.measured(cell, ratio=ratio if continuous else CHARACTER_RATIO)
+        ask.include_rows(*lattice.asked(cell))
+        ask.invalid[cell.within(ask.cell)] += found.invalid
         model = torch.full((cell.height, cell.width), SAMPLED, dtype=torch.uint8, device=found.value.device)
-        heavy = None if found.heavy is None else found.heavy[inner]
-        blind = None if found.blind is None else found.blind[inner]
-        return Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, spp, blind)
+        planes = found.value, found.variance, found.heavy, model, spp, found.blind
+        return Part(*planes), ask.inside(*lattice.asked(cell))
 
     def located(
         self,
-        cell: Cell,
+        whole: Counted,
         rectangles: list[Cell],
         count: int,
         budget: int,
@@ -174,27 +164,32 @@ class Parts:
         jumping: Tensor,
         wanted: Tolerance | None = None,
         more: int = 0,
-    ) -> list[tuple[Cell, Part]]:
+    ) -> tuple[list[tuple[Cell, Part]], int]:
         """Rectangles of a cell by one lattice of `count` points a pixel corrected for its jumps, with at most `budget` evaluations in all.
 
-        And `more` where that does not come to what is `wanted`.
+        And `more` where that does not come to what is `wanted`. And what they took, as counted in `whole`, of the cell.
 
         steps: how often a segment of 1 px is halved, at most.
         jumping: bool (blocks,), those of the cell that are known to jump.
         """
-        task = self.task
-        pixels = sum(each.height * each.width for each in rectangles)
-        fewest = max(FEWEST_LINES, self.fewest)
-        while count - 2 >= fewest and (count + self.audited) * pixels > budget:
-            count -= 2
-        if (count + self.audited) * pixels > budget:
-            spp = budget // pixels
-            return [(each, self.sampled(each, max(1, spp), spp * each.height * each.width)) for each in rectangles]
-        lattice = self._lattice(count, True)
-        x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
+        task, cell = self.task, whole.cell
         around = [self._around(each) for each in rectangles]
+
+        def taken() -> int:
+            return sum(whole.inside(*lattice.asked(each)) for each in around)
+
+        fewest = max(FEWEST_LINES, self.fewest)
+        lattice = self._lattice(count, True)
+        while count - 2 >= fewest and taken() > budget:
+            count -= 2
+            lattice = self._lattice(count, True)
+        if taken() > budget:
+            spp = budget * (count + self.audited) // taken()
+            parts = [(each, *self.sampled(whole, each, max(1, spp), spp * each.height * each.width)) for each in rectangles]
+            return [(each, part) for each, part, _ in parts], sum(took for _, _, took in parts)
+        x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
         owner = Owner(rectangles, [lattice.weights.geometry(each) for each in around], task.device)
-        ask = self.ask(cell, budget - (count + self.audited) * pixels)
+        ask = self.ask(cell, budget - taken())
         allowed = torch.zeros(cell.height, cell.width, dtype=torch.bool, device=task.device)
         plain: list[tuple[Cell, Part]] = []
         finder = Finder()
@@ -207,10 +202,10 @@ class Parts:
                     finder.forget(begun)
                 finder.look(self._seen(at, x[planes], y[planes], values), planes.start, partial(owner.those_of, number))
 
-            part, usable = self._plain(lattice, each, region, look)
+            part, usable = self._plain(whole, lattice, each, region, look)
             plain.append((each, part))
             allowed[each.within(cell)] = usable
-        part = self.joined(cell, plain, ask)
+        part = self.joined(cell, plain)
         # what lies in none of them must not widen the range of the values
         inside, any_of_them = torch.as_tensor(part.density) > 0, part.value[:, *plain[0][0].within(cell)][:, :1, :1]
         value = torch.where(inside, part.value, any_of_them)
@@ -228,9 +223,8 @@ class Parts:
             part.model[at] = torch.where(result.fine, FINER, LOCATED).to(torch.uint8)[kept]
             if part.blind is not None:
                 part.blind[:, *at] = 0
-        part.points.add_(ask.points)
-        part.invalid.add_(ask.invalid)
-        return [(each, part.cut(each.within(cell))) for each in rectangles]
+        whole.include(ask)
+        return [(each, part.cut(each.within(cell))) for each in rectangles], taken() + int(ask.points.sum())
 
     def _seen(self, at: Geometry, x: Tensor, y: Tensor, values: Sequence[Tensor]) -> Everywhere:
         """Some planes of a lattice's samples."""
@@ -238,7 +232,7 @@ class Parts:
         codes = torch.stack(list(values[channels:])) if self.task.followed else None
         return Everywhere(x, y, 0, at.strip, at.col, torch.stack(list(values[:channels])), codes=codes)
 
-    def _plain(self, lattice: LatticeRound, cell: Cell, around: Cell, look: Look) -> tuple[Part, Tensor]:
+    def _plain(self, ask: Counted, lattice: LatticeRound, cell: Cell, around: Cell, look: Look) -> tuple[Part, Tensor]:
         """A rectangle by a lattice alone, and which of its pixels may be corrected; `look` is shown the samples in and around it."""
         found, count = lattice.measured(around, look), lattice.strip.count
         top, left = cell.row - around.row, cell.col - around.col
@@ -248,20 +242,23 @@ class Parts:
         if heavy is not None:
             allowed &= ~heavy.any(0)
         blind = None if found.blind is None else found.blind[inner]
-        points = torch.full_like(allowed, count + self.audited, dtype=torch.int64)
+        ask.include_rows(*lattice.asked(around))
+        ask.invalid[cell.within(ask.cell)] += found.invalid[inner]
         model = torch.full_like(allowed, PLAIN, dtype=torch.uint8)
-        part = Part(found.value[inner], found.variance[inner], points, found.invalid[inner], heavy, model, count, blind)
-        return part, allowed
+        return Part(found.value[inner], found.variance[inner], heavy, model, count, blind), allowed
 
-    def _suited(self, spp: float, edges: np.ndarray | None) -> tuple[LatticeRound, float]:
-        """A lattice, and what the squares of its character sums are over its variance."""
+    def _suited(self, spp: float, edges: np.ndarray | None, cell: Cell, part: bool) -> tuple[LatticeRound, float]:
+        """A lattice for a part, and what the squares of its character sums are over its variance."""
+        # strips that begin where the filter's reach does cover a part with fewest points; those of a closed screen begin with it
+        begin = cell.row - self.reach if part and self.task.boundary == "extend" else 0
         if edges is None or spp < SUITED:
-            return self._lattice(spp, False), CHARACTER_RATIO
-        chosen, ratio = turned(spp, edges)
-        return self._lattice(spp, False, chosen), ratio
+            return self._lattice(spp, False, begin=begin), CHARACTER_RATIO
+        chosen, ratio = turned(spp, edges, cell.height + 2 * self.reach)
+        return self._lattice(spp, False, chosen, begin), ratio
 
-    def _lattice(self, spp: float, lines: bool, chosen: tuple[int, int, int] | None = None) -> LatticeRound:
-        if (spp, lines, chosen) not in self._lattices:
+    def _lattice(self, spp: float, lines: bool, chosen: tuple[int, int, int] | None = None, begin: int = 0) -> LatticeRound:
+        key = spp, lines, chosen, begin
+        if key not in self._lattices:
             if len(self._lattices) >= _LATTICES:
                 # their weights are as large as a cell's samples
                 self._lattices.pop(next(iter(self._lattices)))
@@ -269,15 +266,18 @@ class Parts:
             number = self.number if lines else self.number + _MORE
             audited = self.audited or not lines
             points = spp + (lines and audited)
-            self._lattices[spp, lines, chosen] = LatticeRound(
-                self.task, points, number, lines=lines, audited=audited, chosen=chosen
-            )
-        return self._lattices[spp, lines, chosen]
+            self._lattices[key] = LatticeRound(self.task, points, number, lines=lines, audited=audited, chosen=chosen, begin=begin)
+        return self._lattices[key]
+
+    def area(self, ask: Counted, part: Cell) -> int:
+        """The pixels of the cell in which a part's samples lie."""
+        around = Cell(part.row - self.reach, part.col - self.reach, part.height + 2 * self.reach, part.width + 2 * self.reach)
+        return ask.inside(around, torch.ones(around.height, dtype=torch.int64))
 
     def _around(self, cell: Cell) -> Cell:
         """The cell and at least a pixel around it, in which segments may begin that reach into its pixels' filters; not beyond a closed screen."""
         if self.task.boundary == "extend":
-            return Cell(cell.row - 1, cell.col - 1, cell.height + 2, -(-(cell.width + 2) // _COLUMNS) * _COLUMNS)
+            return Cell(cell.row - 1, cell.col - 1, cell.height + 2, cell.width + 2)
         top, left = max(0, cell.row - 1), max(0, cell.col - 1)
         bottom = min(self.task.screen.height, cell.row + cell.height + 1)
         right = min(self.task.screen.width, cell.col + cell.width + 1)
@@ -297,24 +297,22 @@ class Parts:
             allowed &= ((rows >= halo) & (rows < height - halo))[:, None] & (cols >= halo) & (cols < width - halo)
         return allowed
 
-    def joined(self, cell: Cell, parts: list[tuple[Cell, Part]], pilot: Counted) -> Part:
-        """Parts of a cell as one, all planes its own, with the evaluations of the pilot.
+    def joined(self, cell: Cell, parts: list[tuple[Cell, Part]]) -> Part:
+        """Parts of a cell as one, all planes its own.
 
         What is in none of them has no samples, and a variance of +inf.
         """
         shape = self.task.integrand.channels, cell.height, cell.width
         plane = torch.zeros(shape, dtype=self.task.dtype, device=self.task.device)
         value, variance, heavy = plane, torch.full_like(plane, torch.inf), torch.zeros_like(plane, dtype=torch.bool)
-        points, invalid, model = pilot.points.clone(), pilot.invalid.clone(), torch.zeros_like(plane[0], dtype=torch.uint8)
-        density, blind = torch.zeros_like(plane[0], dtype=torch.float64), torch.zeros_like(plane)
+        model, density = torch.zeros_like(plane[0], dtype=torch.uint8), torch.zeros_like(plane[0], dtype=torch.float64)
+        blind = torch.zeros_like(plane)
         for where, part in parts:
             at = where.within(cell)
             value[:, *at], variance[:, *at] = part.value, part.variance
-            points[at] += part.points
-            invalid[at] += part.invalid
             model[at], density[at] = part.model, part.density
             if part.heavy is not None:
                 heavy[:, *at] = part.heavy
             if part.blind is not None:
                 blind[:, *at] = part.blind
-        return Part(value, variance, points, invalid, heavy, model, density, blind)
+        return Part(value, variance, heavy, model, density, blind)

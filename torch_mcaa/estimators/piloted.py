@@ -100,13 +100,12 @@ class PilotedRound(Round):
         pixels = cell.height * cell.width
         ask = self.parts.ask(cell, self.spp * pixels)
         if pixels < _FEW or self.jumps is False:
-            return self.parts.joined(cell, [(cell, self.parts.sampled(cell, self.spp, ask.left))], ask).estimate()
+            return self._plainly(ask, self.spp)
         self.parts.random = is_random(ask, self.parts.seed)
         try:
             seen = self._pilot(cell, ask)
         except Spent:
-            part = self.parts.sampled(cell, ask.left // pixels, ask.left)
-            return self.parts.joined(cell, [(cell, part)], ask).estimate()
+            return self._plainly(ask, ask.left // pixels)
         audits = 0 if self.plain else pixels
         second = 2 * Window.halo_of(self.task.filter) + 1
         judged, done = seen.judged, seen.done
@@ -140,35 +139,40 @@ class PilotedRound(Round):
             )
             size = sum(each.height * each.width for each in plan.cells)
             more = 0 if most is None else max(0, room * size // pixels - budget)
-            parts = self.parts.located(cell, plan.cells, plan.lines, budget, plan.steps, seen.jumping, self.wanted, more)
+            parts, took = self.parts.located(ask, plan.cells, plan.lines, budget, plan.steps, seen.jumping, self.wanted, more)
             done += parts
-            left, expected = left - min(budget, sum(part.spent for _, part in parts)), expected - plan.cost
-        part = self.parts.joined(cell, done, ask)
+            left, expected = left - min(budget, took), expected - plan.cost
+        part = self.parts.joined(cell, done)
         if seen.counts is None or self.most is None:
-            poorest = poorest_of(part, cell, seen.differences, judged.verdict)
-            if poorest:
-                edges, left = self._edges(seen, part, cell, left)
-                sampled_further(self.parts, part, cell, poorest, edges, left, None if most is None else self.spp)
+            ways = poorest_of(self.parts, part, ask, seen.differences, judged)
+            if ways:
+                edges, left = self._edges(seen, part, ask, left)
+                sampled_further(self.parts, part, ask, ways, edges, left, None if most is None else self.spp)
         else:
-            sampled_first(self.parts, part, cell, seen.counts, self.most * pixels - part.spent)
+            sampled_first(self.parts, part, ask, seen.counts, self.most * pixels - int(ask.points.sum()))
         _mark_crowded(part.model, cell, judged.verdict, self.wanted is not None)
-        return part.estimate()
+        return part.estimate(ask)
 
-    def _edges(self, seen: _Seen, part: Part, cell: Cell, left: int) -> tuple[Tensor | None, int]:
+    def _plainly(self, ask: Counted, spp: float) -> Estimate:
+        """The cell by a plain lattice."""
+        part, _ = self.parts.sampled(ask, ask.cell, spp, ask.left)
+        return self.parts.joined(ask.cell, [(ask.cell, part)]).estimate(ask)
+
+    def _edges(self, seen: _Seen, part: Part, ask: Counted, left: int) -> tuple[Tensor | None, int]:
         """As in `directions`, those of the jumps that were found where nothing of a block was located, and the evaluations then left.
 
         None where rounds are compared: these must have other lattices.
         """
         if self.wanted is not None or not self.first:
             return None, left
-        edges = directions(*seen.samples, cell).cpu()
+        edges = directions(*seen.samples, ask.cell).cpu()
         if not seen.judged.sharp:
             return edges, left
-        ask = self.parts.ask(cell, left)
+        more = self.parts.ask(ask.cell, left)
         plainly = tile_means((part.model != PLAIN).to(torch.float32), BLOCK, BLOCK).flatten() == 0
-        edges = faced(ask, seen.judged, plainly, edges, self.parts.seed)
-        part.points.add_(ask.points)
-        return edges, ask.left
+        edges = faced(more, seen.judged, plainly, edges, self.parts.seed)
+        ask.include(more)
+        return edges, more.left
 
     def _pilot(self, cell: Cell, ask: Counted) -> _Seen:
         """What one sample a pixel tells of the blocks."""

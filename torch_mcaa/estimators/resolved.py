@@ -87,7 +87,7 @@ class Resolved:
     ) -> tuple[list[tuple[Cell, Part]], int]:
         """The blocks of a cell that are known well enough with the lattices `chosen` for them, or finer ones, and what all took.
 
-        That is at most the `budget`, and counted in `ask` where it was not enough.
+        That is at most the `budget`, and counted in `ask`.
         """
         left = budget
         found: list[tuple[Cell, Part]] = []
@@ -102,7 +102,7 @@ class Resolved:
             before = int(here.points.sum())
             more = (suited[0].lattice.count - samples.shape[1]) * where.height * where.width + self._check(suited) * len(suited)
             if more > left:
-                self._give_up(cell, where, here, ask)
+                ask.include(here)
                 continue
             value, variance, blind, samples = self._estimate(where, suited, grid, samples, here)
             left -= int(here.points.sum()) - before
@@ -111,23 +111,18 @@ class Resolved:
                 at = block.within(where)
                 beyond = float(excess[at].max())
                 if beyond <= 1:
-                    model = torch.full_like(here.points[at], PLAIN, dtype=torch.uint8)
-                    planes = (value[:, *at], variance[:, *at], here.points[at], here.invalid[at], None, model)
-                    found.append((block, Part(*planes, had.lattice.count, blind[:, *at])))
+                    model = torch.full_like(here.invalid[at], PLAIN, dtype=torch.uint8)
+                    found.append((block, Part(value[:, *at], variance[:, *at], None, model, had.lattice.count, blind[:, *at])))
+                    ask.include(here.cut(block))
                     continue
                 finer = had.finer(beyond)
                 if finer is None:
-                    self._give_up(cell, block, here, ask)
+                    ask.include(here.cut(block))
                 else:
                     (down, right), ring = (part.start for part in at), 2 * self.halo
                     cut = samples[..., down : down + block.height + ring, right : right + block.width + ring]
                     todo.append((block, [finer], cut, here.cut(block)))
         return found, budget - left
-
-    def _give_up(self, cell: Cell, block: Cell, here: Counted, ask: Counted) -> None:
-        """Count in `ask`, of the cell, what was asked `here` in a block for nothing."""
-        ask.points[block.within(cell)] += here.points[block.within(here.cell)]
-        ask.invalid[block.within(cell)] += here.invalid[block.within(here.cell)]
 
     def _check(self, suited: list[Suited]) -> int:
         """How many points the other lattice takes in a block, at most."""

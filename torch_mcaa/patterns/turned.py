@@ -39,15 +39,18 @@ def angles() -> np.ndarray:
     return (np.arange(DIRECTIONS) / DIRECTIONS - 0.5) * math.pi
 
 
-def turned(spp: float, edges: np.ndarray) -> Turned:
+def turned(spp: float, edges: np.ndarray, rows: int) -> Turned:
     """The strip lattice of up to `spp` evaluations a pixel, one of each strip the audit's, that errs least on edges.
 
     A lattice that errs little on edges of some directions says so by its character sums only in part: these are edges' power on half of its
     dual vectors, which it was not chosen for.
 
-    edges: (DIRECTIONS,) how much of them has each direction.
+    edges: (DIRECTIONS,) how much of them has each direction. rows: those of pixels to be covered, by whole strips.
     """
     strips, power, halves = _choices(spp)
+    covered = np.array([math.ceil(rows / period) * period for period, _, _ in strips])
+    # what points that are not needed would lower the variance by
+    power = power * ((covered / rows) ** 1.5)[:, None]
     edges = edges / edges.sum()
     blurred = (1 - _ELSEWHERE) * edges + _ELSEWHERE / DIRECTIONS
     # of mirror images the normals are those of the edges mirrored
@@ -61,6 +64,7 @@ def turned(spp: float, edges: np.ndarray) -> Turned:
     number, mirror = best % len(strips), best >= len(strips)
     period, count, generator = strips[number]
     directions = blurred[mirrored] if mirror else blurred
+    power = _choices(spp)[1]
     beside, own = (float((plane[number] * directions).sum()) for plane in (halves, power))
     ratio = CHARACTER_RATIO / _EVERYWHERE * beside / own
     return Turned((period, count, -generator % count if mirror else generator), ratio)

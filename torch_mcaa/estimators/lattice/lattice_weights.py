@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torch_mcaa.estimators.base import Task
-from torch_mcaa.filters import SeparableFilter
+from torch_mcaa.filters import Filter, SeparableFilter
 from torch_mcaa.grid import Cell
 from torch_mcaa.patterns.lattice import Strip
 
@@ -42,6 +42,12 @@ class Geometry:
         return self.strips * self.cols
 
 
+def reach_of(filter: Filter) -> int:
+    """How many pixels beyond its own a filter that ends has samples in."""
+    # k + x - 1/2 with x in [0, 1) reaches |d| < radius for |k| <= ceil(radius - 1/2)
+    return math.ceil(max(filter.radius) - 0.5)
+
+
 class LatticeWeights:
     """The weights of one strip lattice under one task's filter and boundary; with `absolute` those of |w| in its place."""
 
@@ -49,8 +55,7 @@ class LatticeWeights:
         self.task, self.strip, self.absolute = task, strip, absolute
         screen, radius = task.screen, max(task.filter.radius)
         self.bounded = math.isfinite(radius)
-        # k + x - 1/2 with x in [0, 1) reaches |d| < radius for |k| <= ceil(radius - 1/2)
-        self.reach = math.ceil(radius - 0.5) if self.bounded else max(screen.height, screen.width)
+        self.reach = reach_of(task.filter) if self.bounded else max(screen.height, screen.width)
         taps = torch.arange(-self.reach, self.reach + 1, dtype=torch.float64)
         # (terms, taps, count) factors along x, and what the factors along y depend on x by
         self.x_places = taps[:, None] + torch.from_numpy(strip.x) - 0.5

@@ -52,7 +52,7 @@ class LatticeRound(Round):
     """One lattice rule over the screen. With `contrast` it brings its variance: character sums, audit and floor; without, values only.
 
     With `lines` its points lie on lines along both axes, 1 px apart, as many lines a pixel as points. Without `audited` there is no audit.
-    With `chosen`, (period, count, generator), it is that lattice.
+    With `chosen`, (period, count, generator), it is that lattice. A strip begins at the row `begin`.
     """
 
     def __init__(
@@ -65,6 +65,7 @@ class LatticeRound(Round):
         lines: bool = False,
         audited: bool = True,
         chosen: tuple[int, int, int] | None = None,
+        begin: int = 0,
     ) -> None:
         sx, sy = (float(rng.uniform(task.seed, _SHIFT, number, replicate, axis, dtype=torch.float64)) for axis in (0, 1))
         self.task = task
@@ -73,7 +74,7 @@ class LatticeRound(Round):
         self.strip = Lattice().strip(
             spp, replicate, audited, (sx, sy), lines, number % 2 == 1, task.once(sides) if lines else None, chosen
         )
-        self.contrast = contrast
+        self.contrast, self.origin = contrast, begin % self.strip.period
         # a strip without a point to spare has no audit
         audited = audited and self.strip.count < spp * self.strip.period
         self.audit = Audit(task, self.strip, number) if audited else None
@@ -91,7 +92,16 @@ class LatticeRound(Round):
         return int(self.row_points(cell).sum()) * cell.width
 
     def row_points(self, cell: Cell) -> Tensor:
-        return self.counts[torch.arange(cell.row, cell.row + cell.height) % self.strip.period]
+        return self.counts[(torch.arange(cell.row, cell.row + cell.height) - self.origin) % self.strip.period]
+
+    def asked(self, cell: Cell) -> tuple[Cell, Tensor]:
+        """Where f is asked for a cell: in it, about it, and in the rest of the strips that begin there; how often in a pixel of each row."""
+        at, period = self.weights.geometry(self._from_origin(cell)), self.strip.period
+        return Cell(at.strip * period + self.origin, at.col, at.strips * period, at.cols), self.counts.repeat(at.strips)
+
+    def _from_origin(self, cell: Cell) -> Cell:
+        """The same with its rows counted from a strip's first."""
+        return replace(cell, row=cell.row - self.origin)
 
     def estimate(self, cell: Cell) -> Estimate:
         found = self.measured(cell)
@@ -122,14 +132,14 @@ class LatticeRound(Round):
             found = self._by_graph(cell, ratio)
             if found is not None:
                 return found
-        at = self.weights.geometry(cell)
+        at = self.weights.geometry(self._from_origin(cell))
         splat = self._splat(cell, at)
         poles = Poles(task, cell, self.per_pixel, self.order)
         value, power, seen, left, invalid = self._sums(cell, at, splat, None, poles, look)
         if invalid is not None:
             # samples that are not finite count as 0; each pixel learns what share of its weights, or of their moduli, is left
             weights = LatticeWeights(task, self.strip, absolute=task.integrand.nonfinite == "propagate")
-            masks = Splat(weights, cell, at, contrast=False)
+            masks = Splat(weights, self._from_origin(cell), at, contrast=False)
             poles = Poles(task, cell, self.per_pixel, self.order)
             value, power, seen, left, invalid = self._sums(cell, at, splat, masks, poles, look)
         variance, blind = (torch.zeros_like(value), None) if power is None else _variance(power, seen, ratio)
@@ -170,6 +180,7 @@ class LatticeRound(Round):
 
     def _splat(self, cell: Cell, at: Geometry) -> Splat:
         """The weights for this cell, kept for the cells of the same shape and phase where the boundary does not cut them."""
+        cell = self._from_origin(cell)
         key = (cell.height, cell.width, cell.row % self.strip.period)
         if self.task.boundary != "extend":
             return Splat(self.weights, cell, at, self.contrast)
@@ -198,7 +209,7 @@ class LatticeRound(Round):
 
         def evaluate(col: Tensor, row: Tensor, shape: tuple[int, ...]) -> tuple[list[Tensor], Tensor | None]:
             x = task.screen.x_of(col).to(task.device, asked)
-            y = task.screen.y_of(self._on_screen(row)).to(task.device, asked)
+            y = task.screen.y_of(self._on_screen(row + self.origin)).to(task.device, asked)
             values = (task.integrand if look is None else task.coded)(x.expand(shape), y)
             bad = None if task.integrand.nonfinite == "raise" else task.integrand.invalid(values)
             if bad is not None and masks is not None:
@@ -246,11 +257,11 @@ class LatticeRound(Round):
                 return values[0], None, [], None, torch.empty(0)
             if bad is not None and counts is not None:
                 counts[self.audit.row() :: strip.period] += bad.to(torch.int32)
-            seen = [self.audit.seen(cell, at, v, h) for v, h in zip(values, held, strict=True)]
+            seen = [self.audit.seen(self._from_origin(cell), at, v, h) for v, h in zip(values, held, strict=True)]
         finished = [splat.finish(s) for s in sums]
         powers = [power for _, power in finished if power is not None]
         if counts is not None:
-            top, left = cell.row - at.strip * strip.period, cell.col - at.col
+            top, left = cell.row - self.origin - at.strip * strip.period, cell.col - at.col
             counts = counts[top : top + cell.height, left : left + cell.width]
         left = None
         if masks is not None and finite is not None and full is not None:
@@ -262,7 +273,7 @@ class LatticeRound(Round):
         task = self.task
         asked = task.screen.coordinate_dtype(cell, task.dtype)
         col = torch.arange(at.col, at.col + at.cols, dtype=torch.float64) + torch.from_numpy(self.strip.x)[planes][:, None]
-        row = ((at.strip + strips) * self.strip.period + torch.from_numpy(self.strip.y)[planes])[:, None]
+        row = ((at.strip + strips) * self.strip.period + self.origin + torch.from_numpy(self.strip.y)[planes])[:, None]
         integrand = replace(task.integrand, nonfinite="ignore")
         x, y = task.screen.x_of(col).to(task.device, asked), task.screen.y_of(self._on_screen(row)).to(task.device, asked)
         values = integrand(x, y)[channel]

@@ -13,6 +13,8 @@ from torch_mcaa.integrand import BLOCK, width_of
 
 _PLANES = 24
 """Planes are weighed along x in blocks of f's size, and summed along y about so many at once: shorter products wait for their sums."""
+_COLUMNS = 16
+"""Their columns come in so many: the last few of a product of matrices have other last bits under other numbers of threads."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,7 @@ class Splat:
     def __init__(self, weights: LatticeWeights, cell: Cell, at: Geometry, contrast: bool) -> None:
         strip, task = weights.strip, weights.task
         self.cell, self.at, self.contrast = cell, at, contrast
+        self.width = -(-cell.width // _COLUMNS) * _COLUMNS
         self.reach, self.block_strips, self.rows = weights.reach, weights.block_strips, weights.block_strips * strip.period
         self.group = max(1, BLOCK * width_of(task.device) // at.points)
         along_y, signs, response, norm = weights.along_y(cell, at)
@@ -89,32 +92,33 @@ class Splat:
 
     def start(self) -> Sums:
         """Empty sums for one channel of a cell."""
-        term, blocks, width = self.batches[0].terms[0], self.at.blocks, self.cell.width
+        term, blocks, width = self.batches[0].terms[0], self.at.blocks, self.width
         new = term.matrix.new_zeros
         return Sums(
             new(blocks, term.matrix.shape[1], width), None if term.signed is None else new(blocks, term.signed.shape[1], width)
         )
 
     def _buffers(self, sums: Sums, batch: Batch) -> list[tuple[Tensor, Tensor | None]]:
-        """For the weighed samples of a batch, by term; strips without samples stay 0."""
+        """For the weighed samples of a batch, by term; strips without samples, and columns beyond the cell, stay 0."""
         # the last batch may have fewer planes
         if not sums.buffers or sums.buffers[0][0].shape[1] != batch.count:
             sums.buffers.clear()
-            shape = (self.at.blocks - 1) * self.block_strips + self.at.depth, batch.count, self.cell.width
+            shape = (self.at.blocks - 1) * self.block_strips + self.at.depth, batch.count, self.width
             new = batch.terms[0].matrix.new_zeros
             sums.buffers += [(new(shape), new(shape) if self.contrast else None) for _ in batch.terms]
         return sums.buffers
 
     def weigh(self, sums: Sums, batch: Batch, group: int, samples: Tensor) -> None:
         """Weigh the samples (strips, planes, cols) of a batch's group along x."""
+        strips, cols = slice(self.at.lead, self.at.lead + self.at.strips), slice(self.cell.width)
         planes = slice(group * self.group, group * self.group + samples.shape[1])
         for term, (plain, signed) in zip(batch.terms, self._buffers(sums, batch), strict=True):
-            taps, out = term.taps[group], plain[self.at.lead : self.at.lead + self.at.strips, planes]
+            taps, out = term.taps[group], plain[strips, planes, cols]
             if signed is None:
                 self._along_x(samples, taps, range(-self.reach, self.reach + 1), out)
                 continue
             # the sums over even and odd k give both the plain and the signed ones
-            other = signed[self.at.lead : self.at.lead + self.at.strips, planes]
+            other = signed[strips, planes, cols]
             self._along_x(samples, taps, range(-self.reach + self.reach % 2, self.reach + 1, 2), out)
             self._along_x(samples, taps, range(-self.reach + 1 - self.reach % 2, self.reach + 1, 2), other)
             out.add_(other)
@@ -129,11 +133,14 @@ class Splat:
 
     def finish(self, sums: Sums) -> tuple[Tensor, Tensor | None]:
         """The values (h, w), and the sums (h, w) of the three squared character sums."""
-        value = sums.plain[:, : self.rows].flatten(0, 1)[: self.cell.height]
+        plain = sums.plain[..., : self.cell.width]
+        level = plain[:, : self.rows]
+        value = level.flatten(0, 1)[: self.cell.height]
         if sums.signed is None:
             return value, None
-        level, power = sums.plain[:, : self.rows], torch.zeros_like(sums.plain[:, : self.rows])
-        for one, response in zip((sums.plain[:, self.rows :], *sums.signed.split(self.rows, 1)), self.response, strict=True):
+        power = torch.zeros_like(level, memory_format=torch.contiguous_format)
+        signed = sums.signed[..., : self.cell.width]
+        for one, response in zip((plain[:, self.rows :], *signed.split(self.rows, 1)), self.response, strict=True):
             one.addcmul_(level, response, value=-1)
             power.addcmul_(one, one)
         return value, power.flatten(0, 1)[: self.cell.height]

@@ -68,6 +68,30 @@ class Counted:
         """Another one, for a part of the cell, with no budget to speak of."""
         return Counted(self.task, cell, 1 << 62, self.precision)
 
+    def include(self, other: Counted) -> None:
+        """Count what another one, of a part of the cell, was asked."""
+        at = other.cell.within(self.cell)
+        self.points[at] += other.points
+        self.invalid[at] += other.invalid
+
+    def include_rows(self, around: Cell, counts: Tensor) -> None:
+        """Count so many evaluations in each pixel of the rows of a part of the screen, those of them that lie in the cell."""
+        at, inside = self._inside(around, counts)
+        self._points[at] += inside.to(self._points)[:, None]
+
+    def inside(self, around: Cell, counts: Tensor) -> int:
+        """How many these are."""
+        (_, cols), inside = self._inside(around, counts)
+        return int(inside.sum()) * (cols.stop - cols.start)
+
+    def _inside(self, around: Cell, counts: Tensor) -> tuple[tuple[slice, slice], Tensor]:
+        """Where a part of the screen and the cell overlap, in the cell, and its rows' counts there."""
+        cell = self.cell
+        top, left = max(0, around.row - cell.row), max(0, around.col - cell.col)
+        bottom = min(cell.height, around.row + around.height - cell.row)
+        right = min(cell.width, around.col + around.width - cell.col)
+        return (slice(top, bottom), slice(left, right)), counts[top + cell.row - around.row : bottom + cell.row - around.row]
+
     def cut(self, cell: Cell) -> Counted:
         """The same for a part of the cell, with what was asked there so far."""
         other, at = self.beside(cell), cell.within(self.cell)
