@@ -88,7 +88,8 @@ def test_a_jump_too_small_to_stand_out() -> None:
     slope = math.hypot(1, 0.3)
     centre = torch.arange(64, dtype=torch.float64) + 0.5
     step = torch.special.ndtr((centre[None, :] + 0.3 * centre[:, None] - 40) / (slope * STD))
-    assert float((layer()(f)[0] - smooth[0] - 1e-3 * step).abs().max()) < 2e-8
+    # of blocks that are sampled the lattice is another one: it errs by 3e-7 of the sine; samples alone err by 1e-5 of the step
+    assert float((layer()(f)[0] - smooth[0] - 1e-3 * step).abs().max()) < 1e-6
 
 
 def test_finite_differences_agree_with_the_gradient() -> None:

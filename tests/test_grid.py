@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -74,6 +74,7 @@ def test_centres_of_a_cell_are_those_of_the_screen() -> None:
 sides = st.integers(1, 200)
 
 
+@settings(deadline=None)
 @given(sides, sides, st.integers(1, 300), st.integers(1, 300))
 def test_cells_cover_the_screen_exactly_once(height: int, width: int, cell_height: int, cell_width: int) -> None:
     painted = np.zeros((height, width), dtype=int)
@@ -103,6 +104,7 @@ def test_coordinate_dtype_is_chosen_by_the_cell() -> None:
     assert screen.coordinate_dtype(Cell(0, 39936, 64, 64), torch.float32) == torch.float64
 
 
+@settings(deadline=None)
 @given(st.floats(-1e12, 1e12), st.floats(1e-45, 1e40) | st.floats(1e-6, 1e6), st.integers(1, 300), st.integers(0, 2**31))
 def test_float32_is_taken_only_where_it_is_fine_enough(x0: float, length: float, width: int, seed: int) -> None:
     assume(x0 + length != x0)

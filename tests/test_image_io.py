@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -93,6 +93,7 @@ def picture(channels: int, height: int = 5, width: int = 7, seed: int = 0) -> to
 # ---- the curve
 
 
+@settings(deadline=None)
 @given(st.floats(-2, 16))
 @example(0.0031308)
 @example(0.00313081)

@@ -45,7 +45,7 @@ class Live(TorchDispatchMode):
             self._now -= self._bytes.pop(key)
 
 
-@pytest.mark.parametrize(("estimator", "most"), [(mcaa.Auto(), 1.1), (mcaa.Shared(), 1.5)], ids=str)
+@pytest.mark.parametrize(("estimator", "most"), [(mcaa.Auto(), 1.2), (mcaa.Shared(), 1.5)], ids=str)
 def test_memory_at_256_samples_is_hardly_that_at_16(estimator: Estimator, most: float) -> None:
     peaks = []
     for spp in (16, 256):

@@ -15,6 +15,8 @@ from torch_mcaa.picking import numbers, pick
 _TIMES = 3.0
 _AROUND = 4
 """Differences on either side that a difference is compared with the lower median of: of the steeper side where f changes its slope."""
+_ALIKE = 0.03
+"""How much differences are off that are jumps between the same two colours, in parts of them."""
 _FLAT = 30.0
 """A side is flat whose median difference is under this part of a difference."""
 _FAINT = 1e-12
@@ -93,6 +95,11 @@ def candidates(samples: Samples, axis: int) -> Segments:
 
     A difference that rounding explains is none. Where f is followed, also those between whose ends it decides differently.
     """
+    return _looked(samples, axis)[0]
+
+
+def _looked(samples: Samples, axis: int) -> tuple[Segments, Tensor]:
+    """`candidates`, and the places (2, M), columns and rows, of differences alike beside them that are none."""
     values = samples.values
     # one by one: along a dimension it is several times slower
     span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if v.numel() else v.new_zeros(()) for v in values])
@@ -100,16 +107,17 @@ def candidates(samples: Samples, axis: int) -> Segments:
     if values.numel() <= most:
         return _candidates(samples, axis, span)
     # a few lines after the other: differences take more than the samples
-    step, parts = max(1, most * samples.count // values.numel()), []
+    step, parts, hidden = max(1, most * samples.count // values.numel()), [], []
     for first in range(0, samples.count, step):
-        part = _candidates(samples.some(slice(first, first + step)), axis, span)
+        part, beside = _candidates(samples.some(slice(first, first + step)), axis, span)
         part.key[:, 0] += first
         parts.append(part)
-    return joined(parts)
+        hidden.append(beside)
+    return joined(parts), torch.cat(hidden, 1)
 
 
-def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
-    """`candidates` on some lines; `span` (C,) the ranges of all values."""
+def _candidates(samples: Samples, axis: int, span: Tensor) -> tuple[Segments, Tensor]:
+    """`_looked` on some lines; `span` (C,) the ranges of all values."""
     differences = samples.differences(axis)
     size = differences.size
     some = size > _FAINT * span[:, None]
@@ -121,6 +129,7 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
     windows = _WINDOWS * width_of(size.device)
     parts = zip(channel.split(windows), index.split(windows), strict=True)
     chosen = torch.cat([_stands_out(differences, *part) for part in parts])
+    hidden = _alike(differences, channel[chosen], index[chosen])
     # from here on what is no candidate counts as no difference
     if many:
         size.masked_fill_(~some, 0)
@@ -159,7 +168,9 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> Segments:
     low, across = (x, y) if axis == 0 else (y, x)
     phase = (samples.x if axis == 0 else samples.y)[line]
     key = torch.stack([line, row, col], 1)
-    return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet, decided)
+    hidden_line, hidden_row, hidden_col = differences.place(hidden[~torch.isin(hidden, flat)])
+    beside = torch.stack([samples.x[hidden_line] + hidden_col + samples.col, samples.y[hidden_line] + hidden_row + samples.row])
+    return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet, decided), beside
 
 
 def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Tensor:
@@ -180,18 +191,29 @@ def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Ten
     return size[channel, index] > least
 
 
+def _alike(differences: Differences, channel: Tensor, index: Tensor) -> Tensor:
+    """The differences (M,) near candidates (N,), these included, that are as large: edges between two colours, where they are close."""
+    size = differences.size
+    near = differences.beside(index, torch.arange(-_AROUND, _AROUND + 1, device=size.device))
+    own = size[channel, index][:, None]
+    alike = (near >= 0) & ((size[channel[:, None], near.clamp_min(0)] - own).abs() <= _ALIKE * own)
+    return torch.unique(near[alike])
+
+
 class Finder:
     """The candidates of a lattice that is seen a few lines after the other, along both axes."""
 
     def __init__(self) -> None:
         self._parts: tuple[list[Segments], list[Segments]] = [], []
+        self._hidden: tuple[list[Tensor], list[Tensor]] = [], []
 
     def look(self, samples: Samples, first: int, kept: Callable[[Segments], Segments] = lambda segments: segments) -> None:
         """See lines, of which the first is number `first` of the lattice's, for those of their segments that are to be `kept`."""
         for axis, parts in enumerate(self._parts):
-            part = candidates(samples, axis)
+            part, beside = _looked(samples, axis)
             part.key[:, 0] += first
             parts.append(kept(part))
+            self._hidden[axis].append(beside)
 
     @property
     def looks(self) -> int:
@@ -200,8 +222,12 @@ class Finder:
 
     def forget(self, looks: int) -> None:
         """All but the first looks."""
-        for parts in self._parts:
+        for parts in (*self._parts, *self._hidden):
             del parts[looks:]
+
+    def hidden(self) -> list[Tensor]:
+        """(2, M) along x, and along y: columns and rows of jumps beside candidates that do not stand out."""
+        return [torch.cat(parts, 1) for parts in self._hidden]
 
     def found(self) -> list[Segments]:
         """Along x, and along y; they are forgotten here."""

@@ -185,7 +185,7 @@ class Parts:
             lattice = self._lattice(count, True)
         if taken() > budget:
             spp = budget * (count + self.audited) // taken()
-            parts = [(each, *self.sampled(whole, each, max(1, spp), spp * each.height * each.width)) for each in rectangles]
+            parts = [(each, *self.sampled(whole, each, max(1, spp), spp * self.area(whole, each))) for each in rectangles]
             return [(each, part) for each, part, _ in parts], sum(took for _, _, took in parts)
         x, y = (torch.from_numpy(places).to(task.device) for places in (lattice.strip.x, lattice.strip.y))
         owner = Owner(rectangles, [lattice.weights.geometry(each) for each in around], task.device)

@@ -13,7 +13,7 @@ from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.base import Task, dilated
-from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_block, by_pixel, shape_of, sizes_of
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_block, by_pixel, pixels_of, shape_of, sizes_of
 from torch_mcaa.estimators.located.corrected import Corrected, beyond, merged
 from torch_mcaa.estimators.located.counted import Counted, Spent
 from torch_mcaa.estimators.located.jump_level import Axes, Level, Leveller
@@ -38,6 +38,9 @@ _FINER = (3, 9)
 """How many times as many lines finer lattices have; the second where a tolerance asks for it."""
 _UNCHECKED = 4.0
 """What the crossings of a block may take that no second shift checks, in parts of what its lattice does."""
+_HIDDEN, _SEEN = 0.1, 0.3
+"""Jumps beside candidates that do not stand out, in parts of those that do, from which on the lines of the other axis are relied on; and how many
+these have to see, in parts of all that the first does."""
 _TRUSTED = 16
 """How many times the variance of the samples has to be that of the corrected pixels, where two shifts tell it, for dearer ones to be used."""
 
@@ -102,7 +105,7 @@ class Corrector:
 
     def _twice(self, finder: Finder) -> _Twice | Corrected | None:
         """Two shifts of the lattice, or what is corrected by one that there is no second one for; None where nothing is."""
-        found = finder.found()
+        hidden, found = finder.hidden(), finder.found()
         try:
             with self.ask.keeping(KEPT):
                 if self.ask.task.followed is not None:
@@ -111,6 +114,8 @@ class Corrector:
                 verdict = self._judged(found, part)
         except Spent:
             return None
+        beside = self._hidden(hidden, part)
+        verdict[beside.all(0)] = Verdict.NOISE
         # an edge may reach into blocks without a candidate
         wanted = self.allowed & self._spread_out((verdict == Verdict.JUMPS) | (verdict == Verdict.NONE))
         # where f decides differently there is no doubt
@@ -121,7 +126,7 @@ class Corrector:
             wanted = self.allowed
         found = [s.take(some) for s, some in zip(found, followed, strict=True)]
         try:
-            axes, wanted = self._planned(found, wanted)
+            axes, wanted = self._planned(found, wanted, beside)
             if not bool(wanted.any()):
                 return None
             before = self.ask.points.clone()
@@ -241,9 +246,27 @@ class Corrector:
         result.variance[:, ~checked[result.rows, result.cols]] = torch.nan
         return result
 
-    def _planned(self, found: list[Segments], wanted: Tensor) -> tuple[Axes, Tensor]:
-        """How exactly to bisect, and which blocks, so that two shifts can be paid for: the axes, and the pixels still wanted."""
+    def _hidden(self, hidden: list[Tensor], part: list[Tensor]) -> Tensor:
+        """bool (2, blocks): along which axis edges hide; along both where the other one sees too few of them.
+
+        hidden: for each axis, as `Finder.hidden`; part: for each axis the block of each candidate.
+        """
+        count = self.blocks[0] * self.blocks[1]
+        seen = torch.stack([torch.bincount(blocks, minlength=count) for blocks in part])
+        places = (pixels_of(self.cell, 0, *each) for each in hidden)
+        many = torch.stack([torch.bincount(r // BLOCK * self.blocks[1] + c // BLOCK, minlength=count) for r, c in places])
+        beside = many > _HIDDEN * seen
+        return beside | (beside.flip(0) & (seen < _SEEN * (seen + many).flip(0)))
+
+    def _planned(self, found: list[Segments], wanted: Tensor, beside: Tensor) -> tuple[Axes, Tensor]:
+        """How exactly to bisect, and which blocks, so that two shifts can be paid for: the axes, and the pixels still wanted.
+
+        beside: as `_hidden`.
+        """
         axes, seen = self.work.axes(found)
+        for axis in (0, 1):
+            other = self._spread_out(beside[axis] & ~beside[1 - axis])[axes.pixels.rows, axes.pixels.cols]
+            axes = replace(axes, share=axes.share.masked_fill(other, float(axis)), open=axes.open & ~other)
         counts, told = torch.zeros(2, self.blocks[0] * self.blocks[1], dtype=torch.int64, device=wanted.device)
         reached = torch.zeros_like(wanted)
         for segments, density in zip(found, seen, strict=True):
