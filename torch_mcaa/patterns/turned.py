@@ -50,12 +50,12 @@ def turned(spp: float, edges: np.ndarray, rows: int) -> Turned:
     strips, power, halves = _choices(spp)
     covered = np.array([math.ceil(rows / period) * period for period, _, _ in strips])
     # what points that are not needed would lower the variance by
-    power = power * ((covered / rows) ** 1.5)[:, None]
+    weighed = power * ((covered / rows) ** 1.5)[:, None]
     edges = edges / edges.sum()
     blurred = (1 - _ELSEWHERE) * edges + _ELSEWHERE / DIRECTIONS
     # of mirror images the normals are those of the edges mirrored
     mirrored = -np.arange(DIRECTIONS)
-    score = np.concatenate([(power * some).sum(1) for some in (edges, edges[mirrored])])
+    score = np.concatenate([(weighed * some).sum(1) for some in (edges, edges[mirrored])])
     # ties must not hang on the last bits
     best = int(np.argmin((score / score.min()).round(6)))
     longest = 0 if score[0] <= score[len(strips)] else len(strips)
@@ -64,7 +64,6 @@ def turned(spp: float, edges: np.ndarray, rows: int) -> Turned:
     number, mirror = best % len(strips), best >= len(strips)
     period, count, generator = strips[number]
     directions = blurred[mirrored] if mirror else blurred
-    power = _choices(spp)[1]
     beside, own = (float((plane[number] * directions).sum()) for plane in (halves, power))
     ratio = CHARACTER_RATIO / _EVERYWHERE * beside / own
     return Turned((period, count, -generator % count if mirror else generator), ratio)
