@@ -24,6 +24,8 @@ HALVED = 2 + 2 * len(_STAGES)
 """How often `pieces` have been halved."""
 _TOGETHER = 1 << 12
 """Pieces that are looked at together."""
+_OF_ALL = ("range", "magnitude")
+"""The attributes that all pieces share."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Pieces:
         low, high: (N,) the part that is left, in parts of the piece; values: (3, C, N) f at its ends, the middle between.
         signature: (N,); change: (C, N) the largest `jump` that was seen of the piece or a part, since `pieces` found it;
             across: (C, N) what f changes by along the whole piece.
-        range: (C,) of f over the screen.
+        range, magnitude: (C,) of f over the screen.
     """
 
     col: Tensor
@@ -51,6 +53,7 @@ class Pieces:
     change: Tensor
     across: Tensor
     range: Tensor
+    magnitude: Tensor
 
     def __len__(self) -> int:
         return len(self.col)
@@ -71,7 +74,14 @@ class Pieces:
 
     def stands_out(self) -> Tensor:
         """bool (N,): where a jump is no rounding, and not the foot of a wider ramp."""
-        return (self.jump > _STANDS_OUT * self.across).any(0)
+        return ((self.jump > _STANDS_OUT * self.across) & self._unrounded()).any(0)
+
+    def changes(self) -> Tensor:
+        """bool (N,): where f changes by more than it may be rounded by."""
+        return self._unrounded().any(0)
+
+    def _unrounded(self) -> Tensor:
+        return self.jump > _ROUNDING * self.magnitude[:, None]
 
     def alone(self, asked: Asked) -> Tensor:
         """bool (N,): where f changes in what is left by over half of what it does a few lengths around it: no end of a wider ramp."""
@@ -98,8 +108,7 @@ class Pieces:
     def take(self, index: Tensor) -> Pieces:
         """Those at `index`, integers or bool."""
         index = numbers(index)
-        fields = (name for name in self.__dataclass_fields__ if name != "range")
-        return replace(self, **{name: pick(getattr(self, name), index) for name in fields})
+        return replace(self, **{name: pick(getattr(self, name), index) for name in _each()})
 
     def halved(self, asked: Asked, steps: int) -> Pieces:
         """The sharper half of the half ..., of those where f decides alike at all places asked."""
@@ -138,8 +147,7 @@ def pieces(asked: Asked, seed: int, looked: int, followed: int) -> Pieces | None
         found = found.halved(asked, 2)
         found = found.take(_sharpest(found, max(followed, looked // share)))
     found = found.halved(asked, 2)
-    if len(found):
-        found = found.take((found.jump > _ROUNDING * found.values.abs().amax((0, 2))[:, None]).any(0))
+    found = found.take(found.changes())
     found = found.take(_sharpest(found, followed))
     return replace(found, change=found.jump)
 
@@ -158,16 +166,27 @@ def _begun(asked: Asked, seed: int, index: Tensor) -> Pieces:
     span = values.amax((0, 2)) - values.amin((0, 2))
     whole = Pieces(
         *(col, row, over, down, torch.zeros_like(col), torch.ones_like(col)),
-        *(values, first, torch.zeros_like(before), (after - before).abs(), torch.where(span > 0, span, 1)),
+        *(
+            values,
+            first,
+            torch.zeros_like(before),
+            (after - before).abs(),
+            torch.where(span > 0, span, 1),
+            values.abs().amax((0, 2)),
+        ),
     )
     return whole.take((first == between) & (between == last))
 
 
 def _joined(parts: list[Pieces]) -> Pieces:
-    whole = {
-        name: torch.cat([getattr(part, name) for part in parts], -1) for name in Pieces.__dataclass_fields__ if name != "range"
-    }
-    return Pieces(**whole, range=torch.stack([part.range for part in parts]).amax(0))
+    each = {name: torch.cat([getattr(part, name) for part in parts], -1) for name in _each()}
+    largest = {name: torch.stack([getattr(part, name) for part in parts]).amax(0) for name in _OF_ALL}
+    return Pieces(**each, **largest)
+
+
+def _each() -> list[str]:
+    """The attributes that each piece has its own of."""
+    return [name for name in Pieces.__dataclass_fields__ if name not in _OF_ALL]
 
 
 def _sharpest(found: Pieces, count: int) -> Tensor:
