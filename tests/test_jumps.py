@@ -49,16 +49,18 @@ def noise(x: Tensor, y: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("case", CASES)
 def test_reach(case: str) -> None:
-    """Three orders of magnitude below any fixed pattern; the interval covers 0.90 (lines 0.85); at most 16 evaluations, all counted.
+    """Three orders of magnitude below any fixed pattern; the interval covers 0.90 (lines 0.85) and is 3 times too wide at most;
+    at most 16 evaluations, all counted.
 
     Stripes closer than the samples are sampled: their standard error is the lattice's, which a grating near its dual vectors escapes in part.
+    So are some blocks of continuous steps: it is told for jumps where some are steep enough to be located (8 scenes: 4.3), and 2.8 of wide ones.
     """
     result = score(case, mcaa.Auto(), 16, 2, torch.float64)
     assert result.rmse < REACH[case]
     assert result.spp <= 16
     sampled = "stripes every" in case
     assert result.coverage >= (0.80 if sampled else 0.85 if "lines" in case else 0.90)
-    assert result.ratio > (0.5 if sampled else 0.75)
+    assert (0.5 if sampled else 0.75) < result.ratio < (6 if case == "steps of 0.25 px" else 3.5 if case == "steps of 1 px" else 3)
 
 
 def test_narrow_peaks_are_no_edges() -> None:
@@ -85,13 +87,17 @@ def test_jump_corrected_reaches_it_too(case: str) -> None:
     assert result.spp <= 16
 
 
-@pytest.mark.parametrize("case", ["edges", "discs of 20 to 100 px", "pentagons", "two ramps", "checkerboards of 16 to 40 px"])
+@pytest.mark.parametrize(
+    "case", ["edges", "discs of 20 to 100 px", "pentagons", "two ramps", "two ramps, 30 : 1", "checkerboards of 16 to 40 px"]
+)
 def test_tolerance_is_met(case: str) -> None:
-    """The true error within the tolerance, no pixel beyond six of them."""
+    """The true error within the tolerance, no pixel beyond six of them. Measured 3 to 38 evaluations a pixel, of the ramps 5; 119 where slopes
+    at the borders of small parts were taken for edges that hide.
+    """
     result = score(case, mcaa.Auto(), 512, 1, torch.float32, tolerance=1e-3)
     assert result.rmse <= 1e-3
     assert result.worst <= 6e-3
-    assert result.spp < 128
+    assert result.spp < 64
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,8 @@ def planned(budget: int, crossings: dict[int, float], lines: dict[int, float]) -
     for counts, seen in ((crossings, crossed), (lines, thin)):
         for block, count in counts.items():
             verdict[block], seen[block] = int(Verdict.JUMPS), count
-    judged = Judged(
-        verdict, 24 * (verdict == Verdict.JUMPS), (crossed, crossed), thin, torch.zeros_like(thin), torch.zeros_like(thin)
-    )
+    jumps = verdict == Verdict.JUMPS
+    judged = Judged(verdict, 24 * jumps, (crossed, crossed), thin, torch.zeros_like(thin), torch.zeros_like(thin), ~jumps)
     plans = plans_of(CELL, judged, torch.zeros(BLOCKS, dtype=torch.bool), budget * CELL.height * CELL.width, True, 5)
     found = torch.full((BLOCKS,), -1)
     for plan in plans:

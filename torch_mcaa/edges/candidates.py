@@ -192,11 +192,14 @@ def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Ten
 
 
 def _alike(differences: Differences, channel: Tensor, index: Tensor) -> Tensor:
-    """The differences (M,) near candidates (N,), these included, that are as large: edges between two colours, where they are close."""
+    """The differences (M,) near candidates (N,), these included, that are as large: edges between two colours, where they are close.
+
+    What stands out at the end of a line, where nothing beyond is known, may be no more than a slope.
+    """
     size = differences.size
     near = differences.beside(index, torch.arange(-_AROUND, _AROUND + 1, device=size.device))
     own = size[channel, index][:, None]
-    alike = (near >= 0) & ((size[channel[:, None], near.clamp_min(0)] - own).abs() <= _ALIKE * own)
+    alike = (near >= 0).all(1, True) & ((size[channel[:, None], near.clamp_min(0)] - own).abs() <= _ALIKE * own)
     return torch.unique(near[alike])
 
 

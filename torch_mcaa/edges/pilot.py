@@ -51,6 +51,7 @@ class Judged:
         lines: lines that cross thin pieces, as far as the pieces that samples hit tell: those hits over their probability.
         told: the share of its candidates in which f is seen to decide.
         detail: float64, the shares of the jumps beside which f is not what one edge would have it be, of three kinds: 0 on edges, about 1 in noise.
+        slow: bool, whether next to no candidate holds a jump, or there is none: but for detail f is continuous.
         sharp: for each axis the jumps that were found, but for those of thin pieces, and the part (N,) that each lies in; on their device.
     """
 
@@ -60,13 +61,14 @@ class Judged:
     lines: Tensor
     told: Tensor
     detail: Tensor
+    slow: Tensor
     sharp: tuple[tuple[Crossings, Tensor], ...] = ()
 
     def cpu(self) -> Judged:
         first, second = self.crossings
         crossings = first.cpu(), second.cpu()
         lines, told, detail = self.lines.cpu(), self.told.cpu(), self.detail.cpu()
-        return Judged(self.verdict.cpu(), self.tried.cpu(), crossings, lines, told, detail, self.sharp)
+        return Judged(self.verdict.cpu(), self.tried.cpu(), crossings, lines, told, detail, self.slow.cpu(), self.sharp)
 
 
 def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most: int, seed: int) -> Judged:
@@ -135,12 +137,13 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     # both outside of a thin piece have always less, or always more
     broken = 2 * torch.minimum(more, less)
     verdict[(broken > _BROKEN * tested) & (tested >= _TESTED)] = Verdict.NOISE
+    slow = jumped <= _FEW * change
     verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _HELD * shown)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
     tiny = torch.finfo(torch.float64).tiny
     detail = wrong / jumped.clamp_min(tiny) + (unseen - _ALONE * alone).clamp_min(0) / beside.clamp_min(tiny)
     detail += broken / tested.clamp_min(_TESTED)
-    return Judged(verdict, tried, (crossed[0], crossed[1]), lines, torch.zeros_like(lines), detail, sharp)
+    return Judged(verdict, tried, (crossed[0], crossed[1]), lines, torch.zeros_like(lines), detail, slow, sharp)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -12,7 +13,7 @@ from torch_mcaa.edges.pilot import Judged, Verdict
 from torch_mcaa.estimators.base import MANY, dilated
 from torch_mcaa.estimators.differences import Differences
 from torch_mcaa.estimators.lattice.audit import tile_means
-from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, sizes_of
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, by_pixel, shape_of, sizes_of
 from torch_mcaa.estimators.located.counted import Counted
 from torch_mcaa.estimators.located.jump_level import FEWEST_LINES
 from torch_mcaa.estimators.parts import PLAIN, SAMPLED, Part, Parts, located
@@ -28,6 +29,9 @@ _FALLS, _FALLS_SMOOTH = 1.5, 3.0
 """The power of their number that the variance of shared points falls with, on edges and, at least, where f is continuous."""
 _SIMPLER = 1.1
 """How much larger the squares may be that fewer rectangles are expected to err by."""
+_SLOWER = 3.0
+"""How much larger a lattice's character sums are, over its variance, on what changes over no less than a quarter of a pixel than on jumps: its
+power is that of jumps over 1 + 2 (pi k / 4)^2, and falls by 3 to 4 more from half a dual vector to the whole."""
 _SMALL = 1e-4
 """A standard error, in ranges of the part's values, below which no more samples are taken where nothing jumps."""
 
@@ -106,16 +110,18 @@ def poorest_of(parts: Parts, part: Part, ask: Counted, differences: Differences,
 
 
 def sampled_further(
-    parts: Parts, part: Part, ask: Counted, ways: list[list[Poor]], edges: Tensor | None, left: int, most: int | None
+    parts: Parts, part: Part, ask: Counted, ways: list[list[Poor]], edges: Tensor | None, slow: Tensor, left: int, most: int | None
 ) -> None:
     """Give more samples, of the `left` evaluations, to the rectangles of a `part` of the cell, in the first of the ways in which it errs about least.
 
+    slow: bool (blocks,), in which f is continuous, and has no detail: there a lattice errs by less than on jumps that it sees as much of.
     With what they have had, a third in equal shares and the rest by Neyman's allocation, the spread of neighbouring samples in the
     place of the standard deviation; at most `most` a pixel on average. With lattices that suit the directions of the `edges` (blocks, DIRECTIONS).
     """
     several = [_counts(way, left, most, parts.fewest) for way in ways]
     enough = _SIMPLER * min(counts.doubt for counts in several)
     counts = next(counts for counts in several if counts.doubt <= enough)
+    steady = by_pixel(slow.to(part.model.device).view(shape_of(ask.cell)), ask.cell)
     expected = sum(poor.area * count for poor, count in counts.more)
     for poor, count in counts.more:
         # strips that are whole may have taken more than their share
@@ -126,7 +132,14 @@ def sampled_further(
             suited = None
         more, took = parts.sampled(ask, poor.where, share, left, suited, poor.continuous)
         left -= took
-        _add(part.cut(poor.where.within(ask.cell)), more, poor.had, share, SAMPLED)
+        at = poor.where.within(ask.cell)
+        _add(part.cut(at), _calmed(more, steady[at]), poor.had, share, SAMPLED)
+
+
+def _calmed(part: Part, slow: Tensor) -> Part:
+    """Where f is `slow` (h, w) the variance that the samples told of is smaller."""
+    blind = 0 if part.blind is None else part.blind
+    return replace(part, variance=torch.where(slow, blind + (part.variance - blind) / _SLOWER, part.variance))
 
 
 def _add(here: Part, more: Part, had: int, count: float, model: int) -> None:

@@ -147,7 +147,8 @@ class PilotedRound(Round):
             ways = poorest_of(self.parts, part, ask, seen.differences, judged)
             if ways:
                 edges, left = self._edges(seen, part, ask, left)
-                sampled_further(self.parts, part, ask, ways, edges, left, None if most is None else self.spp)
+                slow = judged.slow & ~texture
+                sampled_further(self.parts, part, ask, ways, edges, slow, left, None if most is None else self.spp)
         else:
             sampled_first(self.parts, part, ask, seen.counts, self.most * pixels - int(ask.points.sum()))
         _mark_crowded(part.model, cell, judged.verdict, self.wanted is not None)
