@@ -220,3 +220,10 @@ def test_centres_of_sub_pixels() -> None:
     inner = Screen.of((2, 3), (0.0, 6.0, 0.0, 4.0)).centres(Cell(1, 2, 1, 1), strata=(2, 3))
     assert torch.equal(inner[0], x[4:])
     assert torch.equal(inner[1], y[3:])
+
+
+def test_cells_grow_and_overlap() -> None:
+    cell = Cell(2, 3, 4, 5)
+    assert cell.grown(2) == Cell(0, 1, 8, 9)
+    assert cell.grown(3).overlap(Cell(0, 0, 7, 20)) == Cell(0, 0, 7, 11)
+    assert cell.grown(1).overlap(cell) == cell == cell.overlap(cell.grown(1))

@@ -35,7 +35,7 @@ def resolved(f: Callable, tolerance: float = 1e-3) -> tuple[Resolved, Grid, Coun
     task = Task(Screen.of((SIZE, SIZE)), Integrand(f, torch.float64), FILTER, "extend", 1, torch.float64, torch.device("cpu"))
     work = Resolved(task, Bandwidth(FILTER), mcaa.Tolerance(tolerance), 7)
     ask, side = Counted(task, CELL, 1 << 40, Precision()), SIZE + 2 * work.halo
-    return work, Grid(X, Y, -work.halo, -work.halo, ask.everywhere(X, Y, -work.halo, -work.halo, side, side)), ask
+    return work, Grid(X, Y, -work.halo, -work.halo, ask.everywhere(X, Y, Cell(-work.halo, -work.halo, side, side))), ask
 
 
 def estimated(scene: Callable, lattice: Nested, truth: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

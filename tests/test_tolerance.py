@@ -148,7 +148,7 @@ def _steepness(f, size: int, seed: int) -> tuple[Steepness, int]:
     cell = Cell(0, 0, size, size)
     task = Task(Screen.of((size, size)), Integrand(f, torch.float64), FILTER, "extend", 1, torch.float64, torch.device("cpu"))
     ask = Counted(task, cell, 1 << 20, Precision())
-    grid = ask.everywhere(0.3, 0.8, 0, 0, size, size)
+    grid = ask.everywhere(0.3, 0.8, Cell(0, 0, size, size))
     left = ask.left
     return steepness_of(ask, cell, grid, seed), left - ask.left
 

@@ -41,6 +41,16 @@ class Cell:
             for col in range(0, self.width, side)
         ]
 
+    def grown(self, by: int) -> Cell:
+        """With so many pixels more on every side."""
+        return Cell(self.row - by, self.col - by, self.height + 2 * by, self.width + 2 * by)
+
+    def overlap(self, other: Cell) -> Cell:
+        """What it shares with another, which touches it."""
+        row, col = max(self.row, other.row), max(self.col, other.col)
+        bottom = min(self.row + self.height, other.row + other.height)
+        return Cell(row, col, bottom - row, min(self.col + self.width, other.col + other.width) - col)
+
     def places(self, count: int, seed: int, *keys: int, device: torch.device | None = None) -> tuple[Tensor, Tensor]:
         """(count,) float64 columns and rows of places in it, random by the seed and the keys."""
         index = torch.arange(count, device=device)

@@ -61,6 +61,11 @@ class Task:
         """f, if all its decisions are known."""
         return self.integrand.function if isinstance(self.integrand.function, Followed) else None
 
+    def around(self, cell: Cell, by: int) -> Cell:
+        """The cell and so many pixels around it, not beyond a closed screen."""
+        around = cell.grown(by)
+        return around if self.boundary == "extend" else around.overlap(self.screen.whole)
+
     def inside(self, cell: Cell) -> Tensor | None:
         """(h, w) float64: the integral of w over the screen, of each pixel; None for a filter that does not separate."""
         filter, screen = self.filter, self.screen

@@ -148,11 +148,11 @@ class Parts:
             spp = max(1, spp - step)
             lattice, ratio = self._suited(spp, edges, cell, part)
         found = lattice.measured(cell, ratio=ratio if continuous else CHARACTER_RATIO)
-        ask.include_rows(*lattice.asked(cell))
+        took = ask.include_rows(*lattice.asked(cell))
         ask.invalid[cell.within(ask.cell)] += found.invalid
         model = torch.full((cell.height, cell.width), SAMPLED, dtype=torch.uint8, device=found.value.device)
         planes = found.value, found.variance, found.heavy, model, spp, found.blind
-        return Part(*planes), ask.inside(*lattice.asked(cell))
+        return Part(*planes), took
 
     def located(
         self,
@@ -173,7 +173,8 @@ class Parts:
         jumping: bool (blocks,), those of the cell that are known to jump.
         """
         task, cell = self.task, whole.cell
-        around = [self._around(each) for each in rectangles]
+        # a pixel more, in which segments may begin that reach into their filters
+        around = [task.around(each, 1) for each in rectangles]
 
         def taken() -> int:
             return sum(whole.inside(*lattice.asked(each)) for each in around)
@@ -271,17 +272,8 @@ class Parts:
 
     def area(self, ask: Counted, part: Cell) -> int:
         """The pixels of the cell in which a part's samples lie."""
-        around = Cell(part.row - self.reach, part.col - self.reach, part.height + 2 * self.reach, part.width + 2 * self.reach)
-        return ask.inside(around, torch.ones(around.height, dtype=torch.int64))
-
-    def _around(self, cell: Cell) -> Cell:
-        """The cell and at least a pixel around it, in which segments may begin that reach into its pixels' filters; not beyond a closed screen."""
-        if self.task.boundary == "extend":
-            return Cell(cell.row - 1, cell.col - 1, cell.height + 2, cell.width + 2)
-        top, left = max(0, cell.row - 1), max(0, cell.col - 1)
-        bottom = min(self.task.screen.height, cell.row + cell.height + 1)
-        right = min(self.task.screen.width, cell.col + cell.width + 1)
-        return Cell(top, left, bottom - top, right - left)
+        shared = part.grown(self.reach).overlap(ask.cell)
+        return shared.height * shared.width
 
     def _allowed(self, cell: Cell, invalid: Tensor, inner: tuple[Any, ...]) -> Tensor:
         """(h, w) the pixels that may be corrected: all that their filter covers is finite, and on the screen if that ends f.

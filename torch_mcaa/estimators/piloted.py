@@ -182,11 +182,9 @@ class PilotedRound(Round):
         # a closed screen has no samples about it
         resolved = self.resolved if self.task.boundary == "extend" else None
         ring = _RING if resolved is None else max(_RING, resolved.halo)
-        row, col, bottom, right = cell.row - ring, cell.col - ring, cell.row + cell.height + ring, cell.col + cell.width + ring
-        if self.task.boundary != "extend":
-            row, col = max(row, 0), max(col, 0)
-            bottom, right = min(bottom, self.task.screen.height), min(right, self.task.screen.width)
-        values = ask.everywhere(float(x), float(y), row, col, bottom - row, right - col)
+        around = self.task.around(cell, ring)
+        row, col = around.row, around.col
+        values = ask.everywhere(float(x), float(y), around)
         hold_to_rounding(ask, float(x), float(y), row, col, values, parts.seed)
         channels = self.task.integrand.channels
         codes = values[channels:, :, None] if self.task.followed else None

@@ -139,9 +139,7 @@ class Resolved:
         moved = np.stack([grid.x + lattice.x, grid.y + lattice.y], 1)
         # each point of the lattice in the pixel that it lies in
         places = moved - np.floor(moved)
-        corner = cell.row - self.halo, cell.col - self.halo
-        size = cell.height + 2 * self.halo, cell.width + 2 * self.halo
-        new = [ask.everywhere(float(x), float(y), *corner, *size) for x, y in places[samples.shape[1] :]]
+        new = [ask.everywhere(float(x), float(y), cell.grown(self.halo)) for x, y in places[samples.shape[1] :]]
         samples = torch.cat([samples, *(values[:, None] for values in new)], 1)
         value = self._weighed(samples, places, cell, self.reach, self.filter.profile)
         own = self._disagreement(samples, places, cell, lattice, grid)

@@ -74,23 +74,21 @@ class Counted:
         self.points[at] += other.points
         self.invalid[at] += other.invalid
 
-    def include_rows(self, around: Cell, counts: Tensor) -> None:
-        """Count so many evaluations in each pixel of the rows of a part of the screen, those of them that lie in the cell."""
-        at, inside = self._inside(around, counts)
-        self._points[at] += inside.to(self._points)[:, None]
+    def include_rows(self, around: Cell, counts: Tensor) -> int:
+        """Count so many evaluations in each pixel of the rows of a part of the screen, those of them that lie in the cell; how many these are."""
+        shared, inside = self._inside(around, counts)
+        self._points[shared.within(self.cell)] += inside.to(self._points)[:, None]
+        return int(inside.sum()) * shared.width
 
     def inside(self, around: Cell, counts: Tensor) -> int:
-        """How many these are."""
-        (_, cols), inside = self._inside(around, counts)
-        return int(inside.sum()) * (cols.stop - cols.start)
+        """How many these would be."""
+        shared, inside = self._inside(around, counts)
+        return int(inside.sum()) * shared.width
 
-    def _inside(self, around: Cell, counts: Tensor) -> tuple[tuple[slice, slice], Tensor]:
-        """Where a part of the screen and the cell overlap, in the cell, and its rows' counts there."""
-        cell = self.cell
-        top, left = max(0, around.row - cell.row), max(0, around.col - cell.col)
-        bottom = min(cell.height, around.row + around.height - cell.row)
-        right = min(cell.width, around.col + around.width - cell.col)
-        return (slice(top, bottom), slice(left, right)), counts[top + cell.row - around.row : bottom + cell.row - around.row]
+    def _inside(self, around: Cell, counts: Tensor) -> tuple[Cell, Tensor]:
+        """What a part of the screen shares with the cell, and its rows' counts there."""
+        shared = around.overlap(self.cell)
+        return shared, counts[shared.within(around)[0]]
 
     def cut(self, cell: Cell) -> Counted:
         """The same for a part of the cell, with what was asked there so far."""
@@ -162,26 +160,25 @@ class Counted:
             values = values.masked_fill(bad, 0)
         return values
 
-    def everywhere(self, x: float, y: float, row: int, col: int, height: int, width: int) -> Tensor:
+    def everywhere(self, x: float, y: float, around: Cell) -> Tensor:
         """f (C, height, width) at one offset in each pixel of a part of the screen, in the dtype that a lattice asks it in.
 
         Where f is followed the codes are one channel more.
 
         Raises Spent rather than ask more than the budget.
         """
-        task, cell = self.task, self.cell
-        rows = slice(max(0, row - cell.row), max(0, row + height - cell.row))
-        cols = slice(max(0, col - cell.col), max(0, col + width - cell.col))
-        self._spend(self._points[rows, cols].numel())
-        self._points[rows, cols] += 1
-        dtype = task.screen.coordinate_dtype(cell, task.dtype)
-        across = task.screen.x_of(torch.arange(col, col + width, dtype=torch.float64) + x).to(task.device, dtype)
-        down = task.screen.y_of(torch.arange(row, row + height, dtype=torch.float64) + y).to(task.device, dtype)
-        values = torch.stack(task.coded(across.expand(height, width), down[:, None]))
+        task, (rows, cols) = self.task, around.window
+        shared = around.overlap(self.cell)
+        self._spend(shared.height * shared.width)
+        self._points[shared.within(self.cell)] += 1
+        dtype = task.screen.coordinate_dtype(self.cell, task.dtype)
+        across = task.screen.x_of(torch.arange(cols.start, cols.stop, dtype=torch.float64) + x).to(task.device, dtype)
+        down = task.screen.y_of(torch.arange(rows.start, rows.stop, dtype=torch.float64) + y).to(task.device, dtype)
+        values = torch.stack(task.coded(across.expand(around.height, around.width), down[:, None]))
         bad = self._bad(values)
         if bad is not None:
             at, here = bad.nonzero().unbind(1)
-            self._count(self.invalid, here + col + x, at + row + y)
+            self._count(self.invalid, here + around.col + x, at + around.row + y)
             values = values.masked_fill(bad, 0)
         return values
 
