@@ -16,7 +16,7 @@ _TEXTURE = 0.01
 _DETAILED = 3.5
 """How much more differences count for where jumps have detail beside them: on noise a lattice errs by four times as much as on edges."""
 _SMOOTH, _RESOLVED = 0.3, 0.25
-"""From this correlation of a difference with the next on f is smooth, if it has detail everywhere: what differences count for where it does
+"""From this correlation of a difference with the next on f is smooth, if it changes everywhere: what differences count for where it does
 not jump, too."""
 _SLOW = 0.9
 """From this correlation on what changes everywhere is no detail: any lattice resolves it."""

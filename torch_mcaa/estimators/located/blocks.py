@@ -43,7 +43,11 @@ def by_block(plane: Tensor, cell: Cell) -> Tensor:
 
 def blocks_of(cell: Cell, segments: Segments) -> Tensor:
     """The block of the cell (S,), counted row by row, that each segment begins in, or the one that is nearest."""
-    row, col = pixels_of(cell, segments.axis, segments.low, segments.across)
+    return blocks_at(cell, *pixels_of(cell, segments.axis, segments.low, segments.across))
+
+
+def blocks_at(cell: Cell, row: Tensor, col: Tensor) -> Tensor:
+    """The blocks (N,) that pixels of the cell lie in."""
     return row // BLOCK * shape_of(cell)[1] + col // BLOCK
 
 

@@ -13,7 +13,7 @@ from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.base import Task, dilated
-from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of, by_block, by_pixel, pixels_of, shape_of, sizes_of
+from torch_mcaa.estimators.located.blocks import blocks_at, blocks_of, by_block, by_pixel, pixels_of, shape_of, sizes_of
 from torch_mcaa.estimators.located.corrected import Corrected, beyond, merged
 from torch_mcaa.estimators.located.counted import Counted, Spent
 from torch_mcaa.estimators.located.jump_level import Axes, Level, Leveller
@@ -252,9 +252,9 @@ class Corrector:
         hidden: for each axis, as `Finder.hidden`; part: for each axis the block of each candidate.
         """
         count = self.blocks[0] * self.blocks[1]
-        seen = torch.stack([torch.bincount(blocks, minlength=count) for blocks in part])
-        places = (pixels_of(self.cell, 0, *each) for each in hidden)
-        many = torch.stack([torch.bincount(r // BLOCK * self.blocks[1] + c // BLOCK, minlength=count) for r, c in places])
+        seen = torch.stack([torch.bincount(each, minlength=count) for each in part])
+        blocks = (blocks_at(self.cell, *pixels_of(self.cell, 0, *each)) for each in hidden)
+        many = torch.stack([torch.bincount(each, minlength=count) for each in blocks])
         beside = many > _HIDDEN * seen
         return beside | (beside.flip(0) & (seen < _SEEN * (seen + many).flip(0)))
 
@@ -276,8 +276,7 @@ class Corrector:
             counts += torch.bincount(blocks, minlength=len(counts))
             told += torch.bincount(blocks[some.decided > 0], minlength=len(told))
             reached |= used & axes.pixels.plane(density > 0)
-        rows, cols = reached.nonzero().unbind(1)
-        size = torch.bincount(rows // BLOCK * self.blocks[1] + cols // BLOCK, minlength=len(counts))
+        size = torch.bincount(blocks_at(self.cell, *reached.nonzero().unbind(1)), minlength=len(counts))
         cost, second = counts, 1 + self.unlike / (2 * self.base.count)
         for steps in (self.most_steps, *(s for s in STEPS if s < self.most_steps)):
             self.work.finest = _finest(steps)
