@@ -379,6 +379,12 @@ def test_smooth_functions_are_no_worse_than_on_a_lattice() -> None:
         assert float((picture.image[0] - truth).square().mean().sqrt()) < limit
 
 
+def test_what_is_steep_but_slow_is_one_lattice() -> None:
+    """Neighbours differ by over 1 % of the range in most blocks: these were sampled as texture, the others not."""
+    picture = mcaa.render(lambda x, y: 0.5 + 0.5 * torch.sin(x / 30) * torch.cos(y / 20), (128, 128))
+    assert bool((picture.model == PLAIN).all())
+
+
 def test_random_functions_are_told_and_right_on_average() -> None:
     def f(x: Tensor, y: Tensor) -> Tensor:
         return (x > 30.3).to(x.dtype) + 0.1 * torch.rand(x.shape, generator=generator, dtype=x.dtype)
