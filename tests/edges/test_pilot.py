@@ -14,7 +14,7 @@ from torch_mcaa import rng
 from torch_mcaa.edges.candidates import Segments, candidates
 from torch_mcaa.edges.pilot import Judged, Verdict, judge
 
-SIZE, MOST = 34, 24
+SIZE, BLOCK, MOST = 34, 32, 24
 Function = Callable[[Tensor, Tensor], Tensor]
 
 
@@ -31,7 +31,7 @@ def judged(
     found = [candidates(samples, axis) for axis in (0, 1)]
     ask.count = 0
     part = [torch.zeros(len(s), dtype=torch.long) if of is None else of(s) for s in found]
-    return judge(ask, found, part, parts, MOST, seed), ask, found
+    return judge(ask, found, part, parts, BLOCK, MOST, seed), ask, found
 
 
 def noise(x: Tensor, y: Tensor) -> Tensor:

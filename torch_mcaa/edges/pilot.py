@@ -27,6 +27,10 @@ _FEW, _MISPREDICTED, _UNSEEN, _ALONE = 0.05, 0.2, 0.15, 0.05
 _CHANCE = 2
 """Candidates that may be foretold wrong beside: near few hairlines close by some are."""
 _BROKEN, _TESTED, _PEAKED, _HELD = 0.25, 10, 0.22, 0.5
+_CHAINED = 3
+"""Lines between hits of one thin piece: of a slope of a half every other line's samples hit it, or none's, of a third every third's."""
+_WIDE = 1 << 20
+"""Columns or rows of a cell: more than there are."""
 _NEAR, _OFF = 1 / 8, 1 / 4
 """Px: how far from a jump it is looked at whether it is an edge."""
 
@@ -71,7 +75,7 @@ class Judged:
         return Judged(self.verdict.cpu(), self.tried.cpu(), crossings, lines, told, detail, self.slow.cpu(), self.sharp)
 
 
-def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most: int, seed: int) -> Judged:
+def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, side: int, most: int, seed: int) -> Judged:
     """Judge each part of the screen: at most `most` candidates of it are bisected eight times.
 
     Then f is foretold at one fresh random place in each from the jumps found. Fewer than 5 % of the candidates with a jump: f is
@@ -87,13 +91,14 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
 
     Args:
         part: for each axis the part (S,) of its segments.
+        side: px, of a part.
     """
     tried = torch.zeros(parts, dtype=torch.int64, device=part[0].device)
     change, jumped, wrong, beside, unseen, peaks, alone = (
         torch.zeros(parts, dtype=torch.float64, device=part[0].device) for _ in range(7)
     )
     crossed = [torch.bincount(where[~segments.single], minlength=parts) for segments, where in zip(found, part, strict=True)]
-    lines = torch.zeros(parts, dtype=torch.float64, device=part[0].device)
+    lines, missed = torch.zeros(parts, dtype=torch.float64, device=part[0].device), 0.0
     tested, more, less, shown, held = (torch.zeros_like(tried) for _ in range(5))
     looks = [_Look.at(segments, where, parts, most // 2, seed) for segments, where in zip(found, part, strict=True)]
     sharp: tuple[tuple[Crossings, Tensor], ...] = ()
@@ -115,7 +120,9 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
             bent = look.bent(one, other)
             for way, total in ((1, more), (-1, less)):
                 total += torch.bincount(where[edge & (bent == way)], minlength=parts)
-            lines += look.lines(crossings, parts)
+            told, most_lines = look.lines(crossings, parts, side)
+            lines += torch.minimum(told, most_lines)
+            missed += float((told - most_lines).clamp_min(0).sum())
             tried += torch.bincount(where, minlength=parts)
             # the foot of a smooth step looks like a jump to a candidate that sees no more of it: each counts by its change
             size = look.size.to(torch.float64)
@@ -140,6 +147,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
     slow = jumped <= _FEW * change
     verdict[(jumped < _FEW * change) | (peaks > _PEAKED * jumped) | (held < _HELD * shown)] = Verdict.CONTINUOUS
     verdict[tried == 0] = Verdict.NONE
+    none = verdict == Verdict.NONE
+    lines += none * (missed / none.count_nonzero().clamp_min(1))
     tiny = torch.finfo(torch.float64).tiny
     detail = wrong / jumped.clamp_min(tiny) + (unseen - _ALONE * alone).clamp_min(0) / beside.clamp_min(tiny)
     detail += broken / tested.clamp_min(_TESTED)
@@ -150,7 +159,8 @@ def judge(ask: Ask, found: list[Segments], part: list[Tensor], parts: int, most:
 class _Look:
     """Some segments along one axis, the part each lies `where`, a random place in it, and one `beside` it in the next on its quiet side.
 
-    And two random numbers (2, S) each, `drawn`. `hits` (parts,), how many thin pieces samples hit.
+    And two random numbers (2, S) each, `drawn`. `hits` (parts,), how many thin pieces samples hit, and how many `rows` of hits there are, from line
+    to line one beside the other, as of a piece that lies along the other axis.
     """
 
     some: Segments
@@ -159,18 +169,22 @@ class _Look:
     beside: Tensor
     drawn: Tensor
     hits: Tensor
+    rows: Tensor
 
     @classmethod
     def at(cls, segments: Segments, where: Tensor, parts: int, most: int, seed: int) -> _Look:
         """At most so many of each part, at random."""
-        hits = torch.bincount(where[segments.single], minlength=parts).to(torch.float64) / 2
+        single, here = segments.take(segments.single), where[segments.single]
+        hits, rows = (
+            torch.bincount(some, minlength=parts).to(torch.float64) / 2 for some in (here, here[~_goes_on(single, here)])
+        )
         order, rank, _ = ranked(where, rng.bits(seed, _PILOT, segments.axis, segments.stream))
         chosen = order[rank < most]
         some = segments.take(chosen)
         which = torch.arange(1, 5, device=some.low.device)[:, None]
         one, two, *more = rng.uniform(seed, _PILOT, some.axis, which, some.stream, dtype=torch.float64)
         length = some.high - some.low
-        return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, torch.stack(more), hits)
+        return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, torch.stack(more), hits, rows)
 
     def asked(self, crossings: Crossings) -> tuple[Tensor, Tensor]:
         """The random places, those beside, and two opposite each other about the jump: along the lines, and across them."""
@@ -220,14 +234,18 @@ class _Look:
     def _steep(self, crossings: Crossings) -> Tensor:
         return crossings.jump.abs().amax(0) > 0.5 * self.size[crossings.segment]
 
-    def lines(self, crossings: Crossings, parts: int) -> Tensor:
-        """(parts,) the lines across thin pieces: a sample in one lies half its width from either end, on average."""
+    def lines(self, crossings: Crossings, parts: int, side: int) -> tuple[Tensor, Tensor]:
+        """(parts,) the lines across thin pieces, a sample in one lying half its width from either end, on average; and how many there can be.
+
+        All the lines of a part cross what lies along the other axis, whether its samples hit it on all of them or on none: what the hits tell
+        beyond that is in other parts, in which there are none.
+        """
         low, high = self.some.low[crossings.segment], self.some.high[crossings.segment]
         end = torch.minimum(crossings.place - low, high - crossings.place)
         thin = self._steep(crossings) & self.some.single[crossings.segment]
         where = self.where[crossings.segment[thin]]
         known, total = torch.bincount(where, minlength=parts), add_at(end.new_zeros(parts), where, end[thin])
-        return self.hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1)
+        return self.hits / torch.where(known > 0, 2 * total / known.clamp_min(1), 1).clamp(_THINNEST, 1), self.rows * side
 
     def surprised(self, value: Tensor) -> Tensor:
         """Where f beside a segment is not what it is at the segment's end."""
@@ -239,6 +257,18 @@ class _Look:
         passed = crossings.place < self.place[crossings.segment]
         add_at(told, crossings.segment[passed], crossings.jump[:, passed])
         return (value - told).abs().amax(0) > 0.35 * self.size
+
+
+def _goes_on(single: Segments, where: Tensor) -> Tensor:
+    """bool (S,): whether one of the next lines has such a segment, in the same part, no further along than it is across."""
+    if len(single) == 0:
+        return single.single
+    place = single.key[:, 1:] - single.key[:, 1:].amin(0)
+    line, along = place.unbind(1) if single.axis == 0 else place.flip(1).unbind(1)
+    off = [(across, aside) for across in range(1, _CHAINED + 1) for aside in range(-across, across + 1)]
+    near = torch.tensor([across * _WIDE + aside for across, aside in off], device=along.device)
+    place = (where * _WIDE + line) * _WIDE + along
+    return torch.isin(place + near[:, None], place).any(0)
 
 
 def _steep(segments: Segments, crossings: Crossings, where: Tensor, parts: int) -> Tensor:

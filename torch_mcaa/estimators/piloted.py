@@ -198,7 +198,7 @@ class PilotedRound(Round):
                 from torch_mcaa.estimators.located.decided import worthwhile
 
                 found, _, _ = worthwhile(ask, cell, found, parts.seed)
-            judged = judge(ask, found, [blocks_of(cell, s) for s in found], math.prod(shape_of(cell)), JUDGED, parts.seed)
+            judged = judge(ask, found, [blocks_of(cell, s) for s in found], math.prod(shape_of(cell)), BLOCK, JUDGED, parts.seed)
         if self.jumps:
             judged.verdict.fill_(Verdict.JUMPS)
             judged.tried.fill_(_SURE)

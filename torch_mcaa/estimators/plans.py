@@ -78,7 +78,7 @@ def plans_of(
 
     def planned(steps: int) -> tuple[Tensor, Tensor]:
         cost = _cost(steps, judged, pixels, second)
-        return _lines(cost, judged, pixels, quiet, share - beyond(cost), most, plain, ample), cost
+        return _lines(cost, _thin(steps, judged), judged, pixels, quiet, share - beyond(cost), most, plain, ample), cost
 
     lines, cost = planned(steps)
     for fewer in STEPS[1:]:
@@ -113,18 +113,25 @@ def _cost(steps: int, judged: Judged, pixels: Tensor, second: int) -> Tensor:
     most = torch.maximum(*judged.crossings)
     # along an axis that sees little of the edges none are followed
     followed = sum((seen * (seen > _FOLLOWED * most) for seen in judged.crossings), torch.zeros_like(judged.told))
-    cost = pixels + crossing(steps, judged.told) * followed + second * most + (_LINE + _LINE_STEP * steps) * judged.lines
-    return torch.where(judged.verdict == Verdict.JUMPS, cost, pixels)
+    thin, cost = _thin(steps, judged), crossing(steps, judged.told) * followed + second * most
+    jumps, none = (judged.verdict == verdict for verdict in (Verdict.JUMPS, Verdict.NONE))
+    return pixels + torch.where(jumps | none, thin, 0) + torch.where(jumps, cost, 0)
+
+
+def _thin(steps: int, judged: Judged) -> Tensor:
+    """(blocks,): what of that thin pieces take."""
+    return (_LINE + _LINE_STEP * steps) * judged.lines
 
 
 def _lines(
-    cost: Tensor, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, ample: int
+    cost: Tensor, thin: Tensor, judged: Judged, pixels: Tensor, quiet: Tensor, share: Tensor, most: int, plain: bool, ample: int
 ) -> Tensor:
     """How many lines a pixel (blocks,) int64 each block has, 0 where it is sampled plainly, for what each of them costs.
 
     Blocks without a candidate may hold a thin piece that the pilot missed: they have the most lines, and what they leave of their share
     goes to those that jump. These have all the same number of lines, and if it is not much smaller, so have the others: parts of
-    different lattices know nothing of each other's thin pieces. Where that would be too few the dearest blocks are sampled plainly, and
+    different lattices know nothing of each other's thin pieces. Where what is dear are those, which reach into blocks whose samples met
+    none of them, all have as many lines as all can pay for. Where that would be too few the dearest blocks are sampled plainly, and
     where these are many the others have three lines: what remains of the error is there.
     """
     jumps = judged.verdict == Verdict.JUMPS
@@ -134,10 +141,13 @@ def _lines(
     share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, FEWEST_LINES / _SAFE * cost)), share)
     dear = FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
     busy = jumps & (FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
+    hidden = quiet & (judged.verdict == Verdict.NONE)
+    elsewhere, cost = float((cost - pixels)[hidden].sum()), torch.where(hidden, pixels, cost)
     while bool(busy.any()):
-        both = _SAFE * float(share[busy | quiet].sum() / cost[busy | quiet].sum())
+        both = _SAFE * float(share[busy | quiet].sum() / (cost[busy | quiet].sum() + elsewhere))
         alone = _SAFE * float((share[busy].sum() + (share - most * cost)[quiet].sum()) / cost[busy].sum())
-        alike = both > _ALIKE * most
+        thinly = elsewhere + float(thin[busy].sum()) > _THIN * (elsewhere + float((cost - pixels)[busy].sum()))
+        alike = thinly or both > _ALIKE * most
         count = min(most, int(both if alike else alone))
         if count >= min(_ENOUGH_LINES, most) or (count >= FEWEST_LINES and not bool((busy & dear).any())):
             few = int(busy.sum()) < _SPARSE * int(jumps.sum())
@@ -154,7 +164,7 @@ def _thin_too(lines: Tensor, cost: Tensor, share: Tensor, steps: int, judged: Ju
 
     On three lines a thin piece errs by far less than any number of samples would, as edges with corners do not.
     """
-    thin = (_LINE + _LINE_STEP * steps) * judged.lines
+    thin = _thin(steps, judged)
     dropped = (lines == 0) & (judged.verdict == Verdict.JUMPS) & (thin > _THIN * (cost - pixels))
     left = float(torch.where(lines > 0, share - cost * lines, share * dropped).sum())
     order = torch.argsort(torch.where(dropped, cost, torch.inf))

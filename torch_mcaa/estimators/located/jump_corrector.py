@@ -13,7 +13,7 @@ from torch_mcaa.edges.candidates import Finder, Segments
 from torch_mcaa.edges.lines import Lines
 from torch_mcaa.edges.pilot import Verdict, judge
 from torch_mcaa.estimators.base import Task, dilated
-from torch_mcaa.estimators.located.blocks import blocks_at, blocks_of, by_block, by_pixel, pixels_of, shape_of, sizes_of
+from torch_mcaa.estimators.located.blocks import BLOCK, blocks_at, blocks_of, by_block, by_pixel, pixels_of, shape_of, sizes_of
 from torch_mcaa.estimators.located.corrected import Corrected, beyond, merged
 from torch_mcaa.estimators.located.counted import Counted, Spent
 from torch_mcaa.estimators.located.jump_level import Axes, Level, Leveller
@@ -155,7 +155,7 @@ class Corrector:
         first = replace(first, core=known)
         value, variance = merged(first, second)
         alone = (first.plain - first.pixels.of(second.pixels, second.plain, 0.0)).square() / 2
-        level = self._kept(first, alone, variance)
+        level = self._kept(first, alone, (first.plain - value).square() - variance, variance)
         if float(torch.where(known, alone - _TRUSTED * variance, 0).sum()) > 0:
             # what is dear and cannot be checked is as good as what was
             level = replace(level, near=level.near | (every.near & ~cheap))
@@ -182,9 +182,10 @@ class Corrector:
         whole = self._spread_out(whole)[at]
         return replace(first, near=first.near & whole, core=first.core & whole), first.core & checked[at], checked, cheap
 
-    def _kept(self, first: Level, alone: Tensor, variance: Tensor) -> Level:
+    def _kept(self, first: Level, alone: Tensor, off: Tensor, variance: Tensor) -> Level:
         """The level without the blocks whose samples `alone`, by their variance, would do better with what is left.
 
+        That is what two shifts of them tell or, of a thin piece that neither met, by how much they are `off`, squared.
         What the variance of samples falls with: their number to the power 1.5, as on edges.
         """
         if self.unlike:
@@ -192,7 +193,10 @@ class Corrector:
             return first
         pixels = first.pixels
         worth = (self.base.count / (self.base.count + self.ask.left / max(1, int(self.allowed.count_nonzero())))) ** 1.5
-        better = by_block(pixels.plane(torch.where(first.core, worth * alone - variance, 0).sum(0)), self.cell) >= 0
+        plain, unmet, corrected = (
+            by_block(pixels.plane(torch.where(first.core, each, 0).sum(0)), self.cell) for each in (alone, off, variance)
+        )
+        better = worth * torch.maximum(plain, unmet) >= corrected
         kept = self._spread_out(better)[pixels.rows, pixels.cols]
         return replace(first, near=first.near & kept, core=first.core & kept)
 
@@ -201,7 +205,7 @@ class Corrector:
         new = [~self.jumping[block] & (s.decided == 0) for s, block in zip(found, part, strict=True)]
         segments = [s.take(here) for s, here in zip(found, new, strict=True)]
         blocks = [block[here] for block, here in zip(part, new, strict=True)]
-        verdict = judge(self.ask, segments, blocks, self.blocks[0] * self.blocks[1], JUDGED, self.seed).verdict
+        verdict = judge(self.ask, segments, blocks, self.blocks[0] * self.blocks[1], BLOCK, JUDGED, self.seed).verdict
         verdict[self.jumping] = Verdict.JUMPS
         return verdict
 

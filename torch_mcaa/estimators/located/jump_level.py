@@ -117,11 +117,12 @@ class Leveller:
         pixels = self.pixels(self.reached(middles))
         seen = [window.density(pixels, s.axis, *middle, _sizes(s)) for s, middle in zip(found, middles, strict=True)]
         share, open_ = _share(*seen), seen[0] + seen[1] == 0
-        # how often samples hit a thin piece says little of its direction
+        # how often samples hit a thin piece says little of its direction; along the other axis it may end up to 1 px beyond the last hit
         for segments, (along, across) in zip(found, middles, strict=True):
             if bool(segments.single.any()):
                 hits = segments.single.to(torch.float64)
-                open_ |= window.density(pixels, segments.axis, along, across, hits) > 0
+                hit = pixels.plane(window.density(pixels, segments.axis, along, across, hits) > 0)
+                open_ |= dilated(hit, 1)[pixels.rows, pixels.cols]
         return Axes(pixels, share, open_), seen
 
     def reached(self, places: Sequence[tuple[Tensor, Tensor]]) -> Tensor:
