@@ -15,14 +15,18 @@ from torch_mcaa.grid import Cell, Screen
 CELL, BLOCKS = Cell(0, 0, 128, 128), 16
 
 
-def planned(budget: int, crossings: dict[int, float], lines: dict[int, float]) -> tuple[list[Plan], Tensor]:
-    """The plans for 16 blocks of 32 x 32 px of which those with crossings or lines across thin pieces jump, and the lines of each block."""
+def planned(budget: int, crossings: dict[int, float], lines: dict[int, float], unmet: float = 0.0) -> tuple[list[Plan], Tensor]:
+    """The plans for 16 blocks of 32 x 32 px of which those with crossings or lines across thin pieces jump, and the lines of each block.
+
+    unmet: lines across thin pieces in each of the others.
+    """
     verdict = torch.full((BLOCKS,), int(Verdict.NONE))
     crossed, thin = torch.zeros(BLOCKS, dtype=torch.float64), torch.zeros(BLOCKS, dtype=torch.float64)
     for counts, seen in ((crossings, crossed), (lines, thin)):
         for block, count in counts.items():
             verdict[block], seen[block] = int(Verdict.JUMPS), count
     jumps = verdict == Verdict.JUMPS
+    thin += ~jumps * unmet
     judged = Judged(verdict, 24 * jumps, (crossed, crossed), thin, torch.zeros_like(thin), torch.zeros_like(thin), ~jumps)
     plans = plans_of(CELL, judged, torch.zeros(BLOCKS, dtype=torch.bool), budget * CELL.height * CELL.width, True, 5)
     found = torch.full((BLOCKS,), -1)
@@ -54,6 +58,15 @@ def test_blocks_dear_for_thin_pieces_are_followed_with_what_is_left() -> None:
         planned(8, {8: 30.0, 9: 30.0, **more}, {10: 35.0, **thin})[1] for more, thin in (({5: 330.0}, {}), ({}, {5: 130.0}))
     )
     assert int(sampled[5]) == 0 and int(followed[5]) == 3
+
+
+def test_thin_pieces_have_lines_alike_that_all_of_them_can_pay_for() -> None:
+    """Where samples met a few hairlines of a wire frame they do not have all the lines that only those could pay for."""
+    few, many = (planned(16, {}, {5: 32.0, 6: 32.0, 9: 32.0}, unmet) for unmet in (0.0, 32.0))
+    assert len(few[0]) == len(many[0]) == 1
+    assert 3 <= int(many[1][0]) < int(few[1][0])
+    for plans, _ in (few, many):
+        assert sum(plan.cost for plan in plans) <= 16 * CELL.height * CELL.width
 
 
 @pytest.mark.parametrize("spp", [5, 8])

@@ -142,6 +142,26 @@ def test_no_candidates_at_all() -> None:
     assert ask.count == 0 and not result.lines.any() and not result.crossings[0].any()
 
 
+@pytest.mark.parametrize("slope", [0.0, 1 / 2, 1 / 3])
+def test_a_stripe_that_all_lines_of_a_part_hit_crosses_no_more_than_there_are(slope: float) -> None:
+    """What the hits over their probability, 0.1, tell beyond that is where there are none: it was told of the one part, 3 to 10 times as many."""
+    angle = math.atan(slope)
+    cos, sin = math.cos(angle), math.sin(angle)
+
+    def of(segments: Segments) -> Tensor:
+        row = segments.key[:, 1]
+        return row.clamp(0, SIZE - 1) // BLOCK
+
+    # through the samples of the part 0, in which the lines along x hit it
+    middle = cos * 12.3217 + sin * 0.7113
+    result, _, found = judged(lambda x, y: step(((cos * x + sin * y - middle).abs() < 0.05) & (y < BLOCK)), of=of, parts=3)
+    hits = float(found[0].single.count_nonzero()) / 2
+    assert int(result.verdict[0]) == Verdict.JUMPS and hits >= 9
+    # along either axis
+    assert float(result.lines[0]) <= 2.5 * BLOCK and int(result.verdict[2]) == Verdict.NONE
+    assert float(result.lines.sum()) == pytest.approx(hits / 0.1 * (cos + sin), rel=0.1)
+
+
 def test_the_lines_of_a_stripe_are_known_from_those_that_samples_hit() -> None:
     """A stripe of 0.1 px at 20° through 34 lines along x and 33 tan 20° = 12 along y: 46, give or take half a line at the border.
 

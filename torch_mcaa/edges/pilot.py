@@ -175,16 +175,16 @@ class _Look:
     def at(cls, segments: Segments, where: Tensor, parts: int, most: int, seed: int) -> _Look:
         """At most so many of each part, at random."""
         single, here = segments.take(segments.single), where[segments.single]
-        hits, rows = (
-            torch.bincount(some, minlength=parts).to(torch.float64) / 2 for some in (here, here[~_goes_on(single, here)])
-        )
+        hits, rows = (torch.bincount(some, minlength=parts).to(torch.float64) / 2 for some in (here, here[~_goes_on(single, here)]))
         order, rank, _ = ranked(where, rng.bits(seed, _PILOT, segments.axis, segments.stream))
         chosen = order[rank < most]
         some = segments.take(chosen)
         which = torch.arange(1, 5, device=some.low.device)[:, None]
         one, two, *more = rng.uniform(seed, _PILOT, some.axis, which, some.stream, dtype=torch.float64)
         length = some.high - some.low
-        return cls(some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, torch.stack(more), hits, rows)
+        return cls(
+            some, where[chosen], some.low + one * length, some.low + (two + some.quiet) * length, torch.stack(more), hits, rows
+        )
 
     def asked(self, crossings: Crossings) -> tuple[Tensor, Tensor]:
         """The random places, those beside, and two opposite each other about the jump: along the lines, and across them."""
