@@ -138,6 +138,12 @@ def _straight(generator: torch.Generator, width: float | None, *angles: float) -
     return scenes.HalfPlane(angle, offset) if width is None else scenes.Stripe(angle, offset, width)
 
 
+def _nearly(generator: torch.Generator, width: float) -> scenes.Scene:
+    """A line that samples hit for long stretches, or nowhere: it is nearly along an axis, or has nearly a simple slope."""
+    slope, turn = (0.0, 0.5, 1.0)[int(_uniform(generator, 0, 3))], AXIS[int(_uniform(generator, 0, 4))]
+    return _straight(generator, width, turn + math.atan(slope) + _uniform(generator, -0.01, 0.01))
+
+
 Drawn = Ramps | Steep | Stripes
 Draw = Callable[[torch.Generator], scenes.Scene | Drawn]
 AXIS = tuple(math.pi / 2 * k for k in range(4))
@@ -153,6 +159,7 @@ CASES: dict[str, Draw] = {
     "two ramps, 30 : 1": lambda g: _ramps(g, 30),
     "0.1 px lines": lambda g: _straight(g, 0.1),
     "0.1 px lines along an axis": lambda g: _straight(g, 0.1, *AXIS),
+    "0.05 px lines near slopes of 0, 1/2 and 1": lambda g: _nearly(g, 0.05),
     "checkerboards of 16 to 40 px": lambda g: scenes.Checkerboard(_uniform(g, 32, 80), (_uniform(g, 0, 9), _uniform(g, 0, 9))),
     "steps of 0.02 px": lambda g: Steep(*_line(g), 0.02),
     "steps of 0.1 px": lambda g: Steep(*_line(g), 0.1),

@@ -30,6 +30,7 @@ REACH = {
     "two ramps, 30 : 1": 1e-4,
     "0.1 px lines": 3e-5,
     "0.1 px lines along an axis": 3e-5,
+    "0.05 px lines near slopes of 0, 1/2 and 1": 3e-5,
     "checkerboards of 16 to 40 px": 2e-3,
     "steps of 0.02 px": 1e-3,
     "steps of 0.1 px": 1e-3,
