@@ -12,7 +12,7 @@ from torch_mcaa.edges.pilot import Judged, Verdict, judge
 from torch_mcaa.estimators.base import Task
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_of
 from torch_mcaa.estimators.located.counted import Counted, Precision
-from torch_mcaa.estimators.located.thin_pilot import followed
+from torch_mcaa.estimators.located.thin_pilot import with_thin_pieces
 from torch_mcaa.grid import Cell, Screen
 from torch_mcaa.integrand import Integrand
 
@@ -37,7 +37,7 @@ def before_and_after(budget: int) -> tuple[Judged, Judged, float]:
     found = [candidates(samples, axis) for axis in (0, 1)]
     judged = judge(ask, found, [blocks_of(cell, s) for s in found], BLOCKS, BLOCK, 24, SEED)
     left = ask.left
-    after = followed(ask, judged, found, samples, SEED)
+    after = with_thin_pieces(ask, judged, found, samples, SEED)
     return judged, after, 1 - ask.left / left
 
 

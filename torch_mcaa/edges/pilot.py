@@ -52,7 +52,8 @@ class Judged:
         verdict: int64 `Verdict`.
         tried: int64, how many candidates were looked at.
         crossings: for each axis, the candidates, but for those of thin pieces.
-        lines: lines that cross thin pieces, as far as the pieces that samples hit tell: those hits over their probability.
+        lines: lines that cross thin pieces, as far as the pieces that samples hit tell: those hits over their probability, and of these no more
+            in a part than can be; what that leaves is in the parts without candidates, in equal shares.
         told: the share of its candidates in which f is seen to decide.
         detail: float64, the shares of the jumps beside which f is not what one edge would have it be, of three kinds: 0 on edges, about 1 in noise.
         slow: bool, whether next to no candidate holds a jump, or there is none: but for detail f is continuous.

@@ -20,7 +20,7 @@ _SHARE, _LINE = 0.05, 16.0
 """Of what is left, what it may take, and what a line takes: dense detail does not pay for it, and is told by how often samples hit it."""
 
 
-def followed(ask: Counted, judged: Judged, found: list[Segments], samples: Lines, seed: int) -> Judged:
+def with_thin_pieces(ask: Counted, judged: Judged, found: list[Segments], samples: Lines, seed: int) -> Judged:
     """With the blocks that thin pieces cross among those that jump, and so many lines of the pilot that cross them.
 
     samples: one a pixel. found: the candidates along either axis.
