@@ -342,25 +342,6 @@ def test_hairlines_nearly_along_an_axis_or_a_simple_slope(slope: float) -> None:
         assert hairline_error(angle, 3.1 * seed + 0.3, (0.046, 0.08, 0.1, 0.05)[seed], 256, 16, seed) < 1e-5
 
 
-def test_frames_have_as_many_lines_as_all_their_sides_can_pay_for() -> None:
-    """Sides of 0.28 px nearly along the axes, which the pilot's samples hit in 3 blocks of 20: they are followed from there before lines are planned.
-
-    Measured 3e-4; 7e-3 as planned from what was hit, for no evaluations were left to follow the sides along one axis.
-    """
-    turn, exact, centre = -0.0031761, mcaa.Gaussian(0.5, radius=4.0), torch.arange(256, dtype=torch.float64) + 0.5
-    cos, sin = math.cos(turn), math.sin(turn)
-
-    def corners(wide: float, high: float) -> scenes.Polygon:
-        places = ((-wide, -high), (wide, -high), (wide, high), (-wide, high))
-        return scenes.Polygon(tuple((128 + (a * cos - b * sin) / 2, 128 + (a * sin + b * cos) / 2) for a, b in places))
-
-    outer, inner = corners(169.6679, 120.49993), corners(169.6679 - 0.573505, 120.49993 - 0.573505)
-    truth = outer.exact(centre[None], centre[:, None], exact) - inner.exact(centre[None], centre[:, None], exact)
-    picture = mcaa.render(lambda x, y: outer(x, y) - inner(x, y), (256, 256), seed=4)
-    error = (picture.image[0] - truth)[truth > 1e-3]
-    assert float(error.square().mean().sqrt()) < 1e-3
-
-
 @pytest.mark.parametrize("width", [0.05, 0.1])
 def test_hairlines_with_few_evaluations(width: float) -> None:
     """At 8 a pixel brackets are wide where lines hit them; measured 7e-6 to 3e-5, 1e-4 to 3e-2 if they were not narrowed first."""

@@ -22,7 +22,6 @@ from torch_mcaa.estimators.lattice.audit import tile_means
 from torch_mcaa.estimators.located.blocks import BLOCK, blocks_in, blocks_of, by_block, by_pixel, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent, hold_to_rounding, is_random
 from torch_mcaa.estimators.located.jump_corrector import JUDGED, KEPT, unlike
-from torch_mcaa.estimators.located.thin_pilot import with_thin_pieces
 from torch_mcaa.estimators.parts import CROWDED, PLAIN, SAMPLED, Part, Parts, located
 from torch_mcaa.estimators.plans import plans_of
 from torch_mcaa.filters import SeparableFilter
@@ -200,8 +199,6 @@ class PilotedRound(Round):
 
                 found, _, _ = worthwhile(ask, cell, found, parts.seed)
             judged = judge(ask, found, [blocks_of(cell, s) for s in found], math.prod(shape_of(cell)), BLOCK, JUDGED, parts.seed)
-        if self.plain:
-            judged = with_thin_pieces(ask, judged, found, samples, parts.seed)
         if self.jumps:
             judged.verdict.fill_(Verdict.JUMPS)
             judged.tried.fill_(_SURE)
