@@ -332,7 +332,7 @@ def hairline_error(angle: float, off: float, width: float, size: int, spp: int, 
 
 @pytest.mark.parametrize("slope", [0.0, 0.5, 1.0])
 def test_hairlines_nearly_along_an_axis_or_a_simple_slope(slope: float) -> None:
-    """For long stretches samples hit them all along, or nowhere. Measured 1.5e-6 in all 12 pictures.
+    """For long stretches samples hit them all along, or nowhere. Measured 1e-6 to 2e-6 in all 12 pictures.
 
     In five of them 3e-3 to 2e-2 while pixels that saw an end of a piece took the axis along which it ends, parts with hits had lattices of few
     lines that met nothing, and blocks in which neither shift's samples had met what was located were left to those samples.

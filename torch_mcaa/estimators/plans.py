@@ -141,8 +141,7 @@ def _lines(
     share = torch.where(jumps, torch.maximum(share, torch.minimum(ample * pixels, FEWEST_LINES / _SAFE * cost)), share)
     dear = FEWEST_LINES * cost > share.clamp_min(_DEAR * pixels)
     busy = jumps & (FEWEST_LINES * cost <= _DEAREST * share.clamp_min(_DEAR * pixels))
-    hidden = quiet & (judged.verdict == Verdict.NONE)
-    elsewhere, cost = float((cost - pixels)[hidden].sum()), torch.where(hidden, pixels, cost)
+    elsewhere, cost = float((cost - pixels)[quiet].sum()), torch.where(quiet, pixels, cost)
     while bool(busy.any()):
         both = _SAFE * float(share[busy | quiet].sum() / (cost[busy | quiet].sum() + elsewhere))
         alone = _SAFE * float((share[busy].sum() + (share - most * cost)[quiet].sum()) / cost[busy].sum())
