@@ -73,7 +73,7 @@ def test_known_crossings_foretell_those_of_another_lattice(more: int) -> None:
     new = sampled(f, more * LINES, rows=SIZE, cols=SIZE, shift=(0.127, 0.393), number=1)
     none = candidates(new, 0).take(torch.zeros(0, dtype=torch.int64))
     f.count = 0
-    told = between(f, known, old, new, none, 1)
+    told = between(f, known, old, new, none)
     expected = all_lines(new, 0)
     expected = expected[(expected >= lines[0]) & (expected < lines[-1])]
     assert torch.allclose(torch.sort(told.across).values, expected, atol=1e-9)
@@ -82,7 +82,7 @@ def test_known_crossings_foretell_those_of_another_lattice(more: int) -> None:
     assert bool(((told.low < place) & (place < told.high)).all())
     assert bool(((told.after - told.before) == 3).all())
     # what the samples show is left to them
-    assert len(between(f, known, old, new, candidates(new, 0), 1)) == 0
+    assert len(between(f, known, old, new, candidates(new, 0))) == 0
 
 
 def test_links_need_jumps_alike_and_places_near() -> None:
@@ -90,10 +90,9 @@ def test_links_need_jumps_alike_and_places_near() -> None:
     samples = sampled(f, LINES, rows=SIZE, cols=SIZE)
     known, lines = known_edge(f)
     grid = Numbered(samples, 0)
-    assert torch.equal(linked(known, grid, 1)[0][:-1], torch.arange(1, len(lines)))
-    assert int(linked(known, grid, 1)[0][-1]) == -1
+    assert linked(known, grid, 1)[0].tolist() == [*range(1, len(lines)), -1]
     other = crossings(0, lines[::2], edge(lines[::2]), torch.full((1, len(lines[::2])), 3.0, dtype=torch.float64), samples)
-    assert bool((linked(other, grid, 1)[0] == -1).all())
+    assert (linked(other, grid, 1)[0] == -1).all()
 
 
 def test_the_parts_of_a_steep_step_are_no_edges_of_their_own() -> None:
@@ -102,7 +101,7 @@ def test_the_parts_of_a_steep_step_are_no_edges_of_their_own() -> None:
     lines = all_lines(samples, 0)
     twice, place = lines.repeat(2), torch.cat([edge(lines), edge(lines) + 0.03])
     known = crossings(0, twice, place, torch.ones(1, len(twice), dtype=torch.float64), samples)
-    assert bool((linked(known, Numbered(samples, 0), 1)[0] == -1).all())
+    assert (linked(known, Numbered(samples, 0), 1)[0] == -1).all()
 
 
 def test_where_an_edge_ends_following_ends_soon() -> None:

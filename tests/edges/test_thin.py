@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 from on_lines import FINEST, Ask, all_lines, crossings, sampled, step
@@ -316,12 +317,12 @@ def test_pieces_between_neighbouring_crossings() -> None:
     grid = Numbered(samples, 0)
     some = by_hand([1.0, 1.2, 2.9], [0, 1, 0.5, 3]).take(torch.tensor([2, 0, 1]))
     pieces, ends = pieces_of(some, grid)
-    assert torch.equal(some.place[ends], torch.tensor([[1.0, 1.2], [1.2, 2.9]], dtype=torch.float64))
-    assert torch.stack([pieces.first, pieces.second]).tolist() == [[1.0, 1.2], [1.2, 2.9]]
-    assert torch.cat([pieces.before, pieces.inside, pieces.after]).tolist() == [[0, 1], [1, 0.5], [0.5, 3]]
-    assert torch.allclose(pieces.width, torch.tensor([0.2, 1.7], dtype=torch.float64))
-    assert torch.allclose(pieces.tolerance, 0.35 * torch.tensor([0.5, 0.5], dtype=torch.float64))
-    assert torch.equal(pieces.line, grid.number(some.across[:2]))
+    assert some.place.numpy()[ends].tolist() == [[1.0, 1.2], [1.2, 2.9]]
+    assert [pieces.first.tolist(), pieces.second.tolist()] == [[1.0, 1.2], [1.2, 2.9]]
+    assert np.concatenate([pieces.before, pieces.inside, pieces.after]).tolist() == [[0, 1], [1, 0.5], [0.5, 3]]
+    assert pieces.width == pytest.approx([0.2, 1.7], rel=1e-12)
+    assert pieces.tolerance == pytest.approx([0.35 * 0.5, 0.35 * 0.5], rel=1e-12)
+    assert pieces.line.tolist() == grid.number(some.across[:2]).tolist()
 
 
 def test_no_piece_where_colours_do_not_meet_or_leaves_touch() -> None:
@@ -351,6 +352,8 @@ def test_lines_are_counted_in_order_over_the_screen() -> None:
         across, phase = (samples.y, samples.x) if axis == 0 else (samples.x, samples.y)
         index = (torch.remainder(lines[:, None] - across + 0.5, 1) - 0.5).abs().argmin(1)
         assert torch.equal(grid.phase(number), phase[index])
+        assert grid.across_of(number.numpy()).tolist() == grid.across(number).tolist()
+        assert grid.phase_of(number.numpy()).tolist() == grid.phase(number).tolist()
 
 
 def test_known_pieces_by_place_width_and_colour() -> None:
@@ -360,9 +363,7 @@ def test_known_pieces_by_place_width_and_colour() -> None:
     line = pieces.line[:1]
 
     def at(first: float, second: float, colour: float, slack: float = 0.05, step: int = 0) -> bool:
-        places = (torch.tensor([v], dtype=torch.float64) for v in (first, second))
-        colours = torch.tensor([[colour]], dtype=torch.float64)
-        return int(known.at(line + step, *places, colours, torch.tensor([0.3], dtype=torch.float64), slack)) >= 0
+        return bool(known.at(line + step, np.array([first]), np.array([second]), np.array([[colour]]), np.array([0.3]), slack) >= 0)
 
     assert at(1.0, 1.2, 1.0) and at(1.22, 1.42, 1.0) and at(0.78, 0.98, 1.0) and at(3.0, 3.2, 0.8)
     assert not at(1.26, 1.46, 1.0)  # beyond the slack
@@ -370,14 +371,9 @@ def test_known_pieces_by_place_width_and_colour() -> None:
     assert not at(1.0, 1.2, 0.6)  # another colour
     assert not at(1.0, 1.2, 1.0, step=1)  # another line
     assert not at(1.05, 1.1, 1.0) and not at(0.9, 1.35, 1.0)  # less than half, or more than twice, as wide
-    assert (
-        int(
-            Known(pieces.take(torch.tensor([], dtype=torch.long))).at(
-                line, pieces.first[:1], pieces.second[:1], pieces.inside[:, :1], pieces.tolerance[:1], 0.1
-            )
-        )
-        == -1
-    )
+    none = Known(pieces.take(np.array([], dtype=np.int64)))
+    one = pieces.take(np.array([0]))
+    assert none.at(line, one.first, one.second, one.inside, one.tolerance, 0.1).tolist() == [-1]
 
 
 def test_fewer_than_two_crossings_are_returned_as_they_are() -> None:

@@ -19,7 +19,7 @@ BRACKET = 2.0**-7
 _PLACE = 0xB15EC
 _LEAF = 1 / 16
 """Px: a part no longer followed is a step of its own where it is no wider; wider parts are followed to there while they change at all."""
-_FAINT = 0.1
+FAINT = 0.1
 """A part whose change is under this share of what would be followed is smooth: a ramp beside a jump."""
 _SPLIT = 0.1
 """How far the first places may move, in quarters of the segment."""
@@ -29,7 +29,7 @@ _QUARTERED = 1 / 16
 """Px: wider segments begin with quarters."""
 _SMOOTH = 0.4
 """Px: a segment that changes over more than this is smooth, and left to the samples."""
-_ROUNDING, _FLOATS = 1e-9, 2.0**-10
+ROUNDING, _FLOATS = 1e-9, 2.0**-10
 """Px; and how far float32 may put an edge, or a sample."""
 _MOST = 8
 """A segment with more pieces than this is not a few jumps: it is given up."""
@@ -90,7 +90,7 @@ def sided(ask: Ask, crossings: Crossings) -> Crossings:
     some, sample = crossings.take(near), pick(sample, near)
     value = ask_on(ask, crossings.axis, sample, some.across)
     past = (value - some.before).abs().amax(0) > (some.after - value).abs().amax(0)
-    place = torch.where(past, torch.minimum(some.place, sample - _ROUNDING), torch.maximum(some.place, sample + _ROUNDING))
+    place = torch.where(past, torch.minimum(some.place, sample - ROUNDING), torch.maximum(some.place, sample + ROUNDING))
     return replace(crossings, place=crossings.place.index_copy(0, near, place))
 
 
@@ -169,7 +169,7 @@ class _Bisection:
     def followed(self, root: Tensor, low: Tensor, high: Tensor, before: Tensor, after: Tensor) -> tuple[Tensor, ...]:
         """The brackets that are to be narrowed further; of the others those that are steps of their own are noted."""
         change, least = (after - before).abs(), pick(self.least, root)
-        on, some, wide = (change > least).any(0), (change > _FAINT * least).any(0), high - low > _LEAF
+        on, some, wide = (change > least).any(0), (change > FAINT * least).any(0), high - low > _LEAF
         leaf = some & ~on & ~wide
         live = root, low, high, before, after
         on |= some & wide
@@ -199,7 +199,7 @@ class _Bisection:
         root, low, high, *_ = self.live
         phase = pick(self.phase, root)
         sample = (high - phase).floor() + phase
-        inside = (sample > low + _ROUNDING) & (sample < high - _ROUNDING)
+        inside = (sample > low + ROUNDING) & (sample < high - ROUNDING)
         if bool(inside.any()):
             order = torch.argsort(inside, descending=True, stable=True)
             self.live = tuple(pick(each, order) for each in self.live)
@@ -214,7 +214,7 @@ class _Bisection:
         first, second = (value - before).abs(), (after - value).abs()
         left = _any(first > least)
         # almost always one half holds the jump and the other has no change
-        odd = _any(torch.minimum(first, second) > _FAINT * least) | (left == _any(second > least))
+        odd = _any(torch.minimum(first, second) > FAINT * least) | (left == _any(second > least))
         if not bool(odd.any()):
             torch.where(left, low, middle, out=low)
             torch.where(left, middle, high, out=high)

@@ -29,7 +29,7 @@ _AT_ONCE = 1 << 17
 """Samples whose differences a CPU holds at a time."""
 _WINDOWS = 1 << 14
 """Differences whose neighbours a CPU holds at a time."""
-_FOLLOWED = 0.2
+FOLLOWED = 0.2
 """A part of a segment may hold a jump while its change is over this share of the segment's."""
 
 
@@ -87,7 +87,7 @@ class Segments:
 
 def threshold(change: Tensor) -> Tensor:
     """`Segments.least` for changes (C, S) all of whose channels count."""
-    return _FOLLOWED * change.abs()
+    return FOLLOWED * change.abs()
 
 
 def candidates(samples: Samples, axis: int) -> Segments:
@@ -153,7 +153,7 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> tuple[Segments, Te
     # a sample inside a steep step goes on in the same direction
     start, end = (value.unflatten(1, near.shape) for value in differences.ends(near.clamp_min(0).flatten()))
     back = ((end - start) * (after - before)[..., None] < 0) | (near < 0)
-    single = ((own > 0)[..., None] & (beside > _FOLLOWED * own[..., None]) & back).any(2).any(0)
+    single = ((own > 0)[..., None] & (beside > FOLLOWED * own[..., None]) & back).any(2).any(0)
     decided = torch.zeros(len(flat), dtype=torch.float64, device=size.device)
     if codes is not None:
         # one kind of change where f does, another where it does not

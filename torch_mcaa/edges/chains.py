@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torch_mcaa import rng
 from torch_mcaa.edges.bisect import Crossings, ask_on, bisect, joined
 from torch_mcaa.edges.candidates import Segments, brackets
-from torch_mcaa.edges.candidates import joined as together
+from torch_mcaa.edges.few import Brackets, Colours, Few, Floats, Integers, Mask, on_host, uneven
 from torch_mcaa.edges.lines import Ask, Lines
-from torch_mcaa.edges.pieces import SHORT, Numbered, inside, pieces_of, place_of
-from torch_mcaa.picking import numbers, pick
+from torch_mcaa.edges.pieces import SHORT, Numbered, inside, pieces_of, place_on
+from torch_mcaa.picking import pick
 
-_STREAM = 0xC4A1
 _STEEPEST = 1.7
 """Px a px: edges that change their place faster from line to line are for the lines along the other axis."""
 _ALIKE = 0.5
@@ -35,61 +34,47 @@ _TWICE = 5e-4
 """Px: crossings closer than this are one that was found twice."""
 
 
-@dataclass(frozen=True)
 class _Order:
-    """Crossings by line and place."""
+    """Places (N,) on lines, by number, in order."""
 
-    keys: Tensor
-    order: Tensor
+    def __init__(self, line: Integers, place: Floats) -> None:
+        places = place_on(line, place)
+        self.order = np.argsort(places, kind="stable")
+        self.places = places[self.order]
 
-    @classmethod
-    def of(cls, line: Tensor, place: Tensor) -> _Order:
-        keys, order = torch.sort(place_of(line, place), stable=True)
-        return cls(keys, order)
+    def nearest(self, line: Integers, place: Floats, within: float | Floats) -> Integers:
+        """(N,) the index of that nearest to each place on a line, -1 where there is none so near."""
+        target = place_on(line, place)
+        after = self.places.searchsorted(target)
+        index = np.stack([after - 1, after]).clip(0, len(self.places) - 1)
+        before, behind = np.abs(self.places[index] - target)
+        best = self.order[np.where(behind <= before, index[1], index[0])]
+        return np.where(np.minimum(before, behind) > within, -1, best)
 
-    def nearest(self, line: Tensor, place: Tensor, within: float | Tensor) -> Tensor:
-        """(N,) the index of the crossing nearest to each place on a line, -1 where there is none so near."""
-        target = place_of(line, place)
-        after = torch.searchsorted(self.keys, target)
-        index = torch.stack([after - 1, after]).clamp_(0, len(self.keys) - 1)
-        before, behind = (self.keys[index] - target).abs_()
-        best = self.order[torch.where(behind <= before, index[1], index[0])]
-        return best.masked_fill_(torch.minimum(before, behind) > within, -1)
+    def alone(self) -> Mask:
+        """(N,) which have no other close by on their line: the parts of a steep step and the sides of a thin piece are no edges of their own."""
+        apart = np.diff(self.places) > _PART
+        alone = np.ones(len(self.places), dtype=np.bool_)
+        alone[self.order[1:]] &= apart
+        alone[self.order[:-1]] &= apart
+        return alone
 
 
-def linked(crossings: Crossings, grid: Numbered, *directions: int) -> list[Tensor]:
+def linked(crossings: Crossings, grid: Numbered, *directions: int) -> list[Integers]:
     """For each direction the crossing (N,) of the same edge on the next line, or -1."""
-    line, alone = grid.number(crossings.across), _alone(crossings, grid)
-    order, found = _Order.of(line, crossings.place), []
+    line, place, jump = (on_host(each) for each in (grid.number(crossings.across), crossings.place, crossings.jump))
+    order, found = _Order(line, place), []
+    alone = order.alone()
     for direction in directions:
-        other = order.nearest(line + direction, crossings.place, _STEEPEST / grid.count)
-        there = other.clamp_min(0)
-        same = alone & pick(alone, there) & (other >= 0) & _alike(crossings.jump, pick(crossings.jump, there))
-        found.append(torch.where(same, other, -1))
+        other = order.nearest(line + direction, place, _STEEPEST / grid.count)
+        same = alone & alone[other] & (other >= 0) & _alike(jump, jump[:, other])
+        found.append(np.where(same, other, -1))
     return found
 
 
-def _alone(crossings: Crossings, grid: Numbered) -> Tensor:
-    """(N,) which have no other close by on their line: the parts of a steep step and the sides of a thin piece are no edges of their own."""
-    keys, order = torch.sort(place_of(grid.number(crossings.across), crossings.place), stable=True)
-    apart = keys[1:] - keys[:-1] > _PART
-    alone = torch.ones_like(crossings.place, dtype=torch.bool)
-    alone[order[1:]] &= apart
-    alone[order[:-1]] &= apart
-    return alone
-
-
-def _alike(one: Tensor, other: Tensor) -> Tensor:
+def _alike(one: Colours, other: Colours) -> Mask:
     """(N,) whether jumps (C, N) may be those of one edge."""
-    return (one - other).abs().amax(0) <= _ALIKE * torch.maximum(one.abs(), other.abs()).amax(0)
-
-
-def _first(line: Tensor, place: Tensor, some: Tensor, within: float) -> Tensor:
-    """(N,) whether no other of `some` places lies just before on the same line."""
-    keys, order = torch.sort(torch.where(some, place_of(line, place), torch.inf), stable=True)
-    first = torch.ones_like(some)
-    first[order[1:]] = keys[1:] - keys[:-1] > within
-    return first
+    return np.abs(one - other).max(0) <= _ALIKE * np.maximum(np.abs(one), np.abs(other)).max(0)
 
 
 def continued(
@@ -101,13 +86,23 @@ def continued(
     """
     if len(crossings) < 2:
         return crossings
-    grid = Numbered(lines, crossings.axis)
+    grid, area = Numbered(lines, crossings.axis), on_host(wanted)
     above, below = linked(crossings, grid, 1, -1)
-    more = _followed(ask, crossings, grid, 1, above, below, wanted, origin, finest, seed)
-    if more:
-        crossings = joined([crossings, *more])
+    more = _followed(ask, crossings, grid, 1, above, below, area, origin, finest, seed)
+    if more is not None:
+        crossings = joined([crossings, more])
         above, below = linked(crossings, grid, 1, -1)
-    return joined([crossings, *_followed(ask, crossings, grid, -1, below, above, wanted, origin, finest, seed)])
+    more = _followed(ask, crossings, grid, -1, below, above, area, origin, finest, seed)
+    return crossings if more is None else joined([crossings, more])
+
+
+def _first(line: Integers, place: Floats, within: float) -> Mask:
+    """(N,) whether no other place lies just before on the same line."""
+    at = place_on(line, place)
+    order = np.argsort(at, kind="stable")
+    first = np.ones(len(line), dtype=np.bool_)
+    first[order[1:]] = np.diff(at[order]) > within
+    return first
 
 
 def _followed(
@@ -115,116 +110,108 @@ def _followed(
     known: Crossings,
     grid: Numbered,
     direction: int,
-    ahead: Tensor,
-    behind: Tensor,
-    wanted: Tensor,
+    ahead: Integers,
+    behind: Integers,
+    wanted: Mask,
     origin: tuple[int, int],
     finest: float,
     seed: int,
-) -> list[Crossings]:
+) -> Crossings | None:
     """The crossings beyond the last ones of edges, towards higher (+1) or lower (-1) lines; `ahead` and `behind` (N,) as `linked` has them."""
     last = (ahead < 0) & (behind >= 0)
-    if not bool(last.any()):
-        return []
-    line_of = grid.number(known.across)
-    order = _Order.of(line_of, known.place)
+    if not last.any():
+        return None
+    lines, places, jumps = (on_host(each) for each in (grid.number(known.across), known.place, known.jump))
+    order, few = _Order(lines, places), Few(ask, grid.axis, grid.device)
     # thin pieces are followed as such
     pieces, ends = pieces_of(known, grid)
-    one, two = known.jump[:, ends[:, 0]], known.jump[:, ends[:, 1]]
-    back = (one + two).abs().amax(0) <= _ALIKE * torch.maximum(one.abs().amax(0), two.abs().amax(0))
-    last[ends[back & (pieces.width < SHORT)].flatten()] = False
-    index = last.nonzero()[:, 0]
-    line, place = line_of[index], known.place[index]
-    slope, gone, jump = place - known.place[behind[index]], torch.ones_like(line), known.jump[:, index]
-    found: list[Segments] = []
+    one, two = jumps[:, ends[:, 0]], jumps[:, ends[:, 1]]
+    back = np.abs(one + two).max(0) <= _ALIKE * np.maximum(np.abs(one).max(0), np.abs(two).max(0))
+    last[ends[back & (pieces.width < SHORT)]] = False
+    index = np.flatnonzero(last)
+    line, place, jump, gone = lines[index], places[index], jumps[:, index], np.ones_like(index)
+    slope = place - places[behind[index]]
+    found: list[tuple[Any, ...]] = []
     within = max(_WITHIN, 2 * finest)
     for _ in range(_LINES):
-        target, across = place + slope * gone, grid.across(line + direction * gone)
-        go = inside(wanted, origin, known.axis, target, across)
-        here = order.nearest(line + direction * gone, target, _NEAR)
-        go &= ((here < 0) | (ahead[here] < 0)) & (slope.abs() * grid.count < _STEEPEST)
-        line, place, slope, gone, target, across, jump, here = (
-            t[..., go] for t in (line, place, slope, gone, target, across, jump, here)
+        number = line + direction * gone
+        target, across = place + slope * gone, grid.across_of(number)
+        here = order.nearest(number, target, _NEAR)
+        go = inside(wanted, origin, known.axis, target, across) & (np.abs(slope) * grid.count < _STEEPEST)
+        go &= (here < 0) | (ahead[here] < 0)
+        line, place, slope, gone, number, target, across, jump, here = (
+            each[..., go] for each in (line, place, slope, gone, number, target, across, jump, here)
         )
         if len(line) == 0:
             break
         there = here >= 0
-        if bool(there.any()):
+        if there.any():
             # a crossing that stood out alone: the edge goes on beyond it
-            slope = torch.where(there, (known.place[here] - place) / gone, slope)
-            place, jump = torch.where(there, known.place[here], place), torch.where(there, known.jump[:, here], jump)
-            line, gone = torch.where(there, line + direction * gone, line), torch.where(there, 1, gone)
+            slope = np.where(there, (places[here] - place) / gone, slope)
+            place, jump = np.where(there, places[here], place), np.where(there, jumps[:, here], jump)
+            line, gone = np.where(there, number, line), np.where(there, 1, gone)
             continue
-        met, low, high, before, after = _met(ask, known.axis, grid, across, target, jump, within, seed)
-        met &= _alike(jump, after - before)
-        middle = torch.where(met, (low + high) / 2, target)
-        number = line + direction * gone
-        new = met & (order.nearest(number, middle, (high - low) / 2 + _TWICE) < 0)
-        new &= _first(number, middle, new, within)
-        found.append(brackets(known.axis, across, low, high, before, after, grid.phase(number), number).take(new))
-        jump = torch.where(met, after - before, jump)
-        slope = torch.where(met, (middle - place) / gone, slope)
-        place, line = torch.where(met, middle, place), torch.where(met, number, line)
-        gone = torch.where(met, 1, gone + 1)
+        met, part = _met(few, number, across, grid.phase_of(number), target, jump, within)
+        change = part.after - part.before
+        met &= _alike(jump, change)
+        middle = np.where(met, (part.low + part.high) / 2, target)
+        new = met & (order.nearest(number, middle, (part.high - part.low) / 2 + _TWICE) < 0)
+        new[new] = _first(number[new], middle[new], within)
+        found.append((across[new], *part.take(new), grid.phase_of(number[new]), number[new]))
+        jump, slope = np.where(met, change, jump), np.where(met, (middle - place) / gone, slope)
+        place, line, gone = np.where(met, middle, place), np.where(met, number, line), np.where(met, 1, gone + 1)
         on = new | (~met & (gone <= 1 + _FADED))
-        line, place, slope, gone, jump = (t[..., on] for t in (line, place, slope, gone, jump))
-    if not found:
-        return []
+        line, place, slope, gone, jump = (each[..., on] for each in (line, place, slope, gone, jump))
+    if not any(len(each[0]) for each in found):
+        return None
     # all at once: a walk of many lines would else ask f a few places at a time
-    every = together(found)
-    got = bisect(ask, every, finest, seed)
-    single = torch.bincount(got.segment, minlength=len(every)) == 1
-    return [got.take(pick(single, got.segment))]
+    every = (torch.from_numpy(np.concatenate(each, -1)).to(grid.device) for each in zip(*found, strict=True))
+    across, low, high, before, after, phase, number = every
+    segments = brackets(known.axis, across, low, high, before, after, phase, number)
+    got = bisect(ask, segments, finest, seed)
+    single = torch.bincount(got.segment, minlength=len(segments)) == 1
+    return got.take(pick(single, got.segment))
 
 
 def _met(
-    ask: Ask, axis: int, grid: Numbered, across: Tensor, target: Tensor, like: Tensor, within: float, seed: int
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Which edges were met (N,) about places on lines, in brackets from low to high (N,), with f before and after (C, N), as jumps `like` have it.
+    few: Few, line: Integers, across: Floats, phase: Floats, target: Floats, like: Colours, within: float
+) -> tuple[Mask, Brackets]:
+    """Which edges were met (N,) about places on lines, by number, and in which brackets, as jumps `like` have it.
 
     A bracket is about 2 `within` wide; those of edges that were not met say nothing.
     """
-    lines = grid.number(across)
-    shape = _shape(axis, lines, target, seed)
-    low, high = (torch.zeros_like(target) for _ in range(2))
-    before, after = (torch.zeros_like(like) for _ in range(2))
-    clear = torch.zeros_like(target, dtype=torch.bool)
+    left = _further(line)
+    low, high, before, after = np.zeros_like(target), np.zeros_like(target), np.zeros_like(like), np.zeros_like(like)
+    clear = np.zeros(len(line), dtype=np.bool_)
     for width in (within, _WIDER * within):
-        left = (~clear).nonzero()[:, 0]
-        if len(left) == 0:
+        rest = np.flatnonzero(~clear)
+        if len(rest) == 0:
             break
-        sides = torch.tensor([-3.0, -1.0, 1.0, 3.0], dtype=target.dtype, device=target.device)[:, None]
-        places = target[left] + width * sides * torch.where(sides < 0, shape[left], 1)
-        values = ask_on(ask, axis, places.flatten(), across[left].repeat(4)).unflatten(1, places.shape)
-        change = (values[:, 1:] - values[:, :-1]).abs().amax(0)
-        sizes, part = change.sort(0, descending=True)
-        part, some = (
-            part[0],
-            (sizes[0] > _CLEAR * sizes[1]) & (sizes[0] > 64 * torch.finfo(values.dtype).eps * values.abs().amax((0, 1))),
-        )
-        at, where, part = left[some], some.nonzero()[:, 0], part[some]
+        places = target[rest] + width * np.stack([-3 * left[rest], -left[rest], np.ones(len(rest)), np.full(len(rest), 3.0)])
+        values = few.at(places, across[rest])
+        change = np.abs(values[:, 1:] - values[:, :-1]).max(0)
+        sizes = np.sort(change, 0)
+        least = 64 * np.finfo(values.dtype).eps * np.abs(values).max((0, 1))
+        some = np.flatnonzero((sizes[-1] > _CLEAR * sizes[-2]) & (sizes[-1] > least))
+        at, part = rest[some], change.argmax(0)[some]
         clear[at] = True
-        low[at], high[at] = places[part, where], places[part + 1, where]
-        before[:, at], after[:, at] = values[:, part, where], values[:, part + 1, where]
-    wide = numbers(clear & (high - low > 3 * within))
+        low[at], high[at] = places[part, some], places[part + 1, some]
+        before[:, at], after[:, at] = values[:, part, some], values[:, part + 1, some]
+    part = Brackets(low, high, before, after)
+    wide = np.flatnonzero(clear & (high - low > 3 * within))
     if len(wide):
-        segments = brackets(axis, across, low, high, before, after, grid.phase(lines), lines).take(wide)
-        got = bisect(ask, segments, 2 * within, seed)
-        got = got.take(pick(torch.bincount(got.segment, minlength=len(wide)) == 1, got.segment))
-        clear[wide] = False
-        at = pick(wide, got.segment)
-        clear[at] = True
-        low[at], high[at] = got.place - got.width / 2, got.place + got.width / 2
-        before[:, at], after[:, at] = got.before, got.after
-    return clear, low, high, before, after
+        clear[wide], narrow = few.narrowed(line[wide], across[wide], phase[wide], part.take(wide), 2 * within)
+        for values, those in zip(part, narrow, strict=True):
+            values[..., wide] = those
+    return clear, part
 
 
-def _shape(axis: int, line: Tensor, place: Tensor, seed: int) -> Tensor:
-    """How far brackets go to the left: no two alike, or the middles of the last ones would all err alike."""
-    return 1 + 0.25 * rng.uniform(seed, _STREAM, axis, line, (place * 2**20).long()).to(torch.float64)
+def _further(line: Integers) -> Floats:
+    """(N,) so many times as far brackets go to the left: no two alike, or the middles of the last ones would all err alike."""
+    return 1 + 0.25 * uneven(line)
 
 
-def between(ask: Ask, known: Crossings, old: Lines, lines: Lines, found: Segments, seed: int) -> Segments:
+def between(ask: Ask, known: Crossings, old: Lines, lines: Lines, found: Segments) -> Segments:
     """Brackets on `lines` about places that edges foretell whose crossings on the `old` ones are `known`.
 
     But for those in segments already `found`. Two evaluations for each.
@@ -232,9 +219,10 @@ def between(ask: Ask, known: Crossings, old: Lines, lines: Lines, found: Segment
     across, place, number = _told(known, Numbered(old, known.axis), Numbered(lines, known.axis))
     if len(found) and len(place):
         grid = Numbered(lines, known.axis)
-        taken = _Order.of(grid.number(found.across), (found.low + found.high) / 2).nearest(number, place, 0.5 + _WITHIN)
-        across, place, number = across[taken < 0], place[taken < 0], number[taken < 0]
-    low = place - _WITHIN / 2 * _shape(known.axis, number, place, seed)
+        order = _Order(*(on_host(each) for each in (grid.number(found.across), (found.low + found.high) / 2)))
+        rest = torch.from_numpy(order.nearest(on_host(number), on_host(place), 0.5 + _WITHIN) < 0).to(place.device)
+        across, place, number = across[rest], place[rest], number[rest]
+    low = place - _WITHIN / 2 * torch.from_numpy(_further(on_host(number))).to(place.device)
     high = place + _WITHIN / 2
     values = ask_on(ask, known.axis, torch.cat([low, high]), across.repeat(2)) if len(place) else found.before[:, :0]
     before, after = values.split(len(place), 1) if len(place) else (values, values)
@@ -245,7 +233,7 @@ def _told(known: Crossings, old: Numbered, new: Numbered) -> tuple[Tensor, Tenso
     """The lines between two old ones that an edge crosses, the places on them where it does, and their numbers."""
     if len(known) == 0:
         return known.across, known.place, known.segment
-    (other,) = linked(known, old, 1)
+    other = torch.from_numpy(linked(known, old, 1)[0]).to(known.place.device)
     start = (other >= 0).nonzero()[:, 0]
     stop = other[start]
     first, height = known.across[start], known.across[stop] - known.across[start]

@@ -7,11 +7,13 @@ and bisected, until a piece that the samples found, or its tip, is met.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import BRACKET, Crossings, ask_on, bisect, joined, sharpened
+from torch_mcaa.edges.bisect import BRACKET, Crossings, bisect, joined, sharpened
 from torch_mcaa.edges.candidates import brackets
+from torch_mcaa.edges.few import Few, Integers, Mask, on_host
 from torch_mcaa.edges.lines import Ask, Lines
 from torch_mcaa.edges.pieces import SHORT, Known, Numbered, Pieces, inside, pieces_of, place_of
 from torch_mcaa.edges.walk import STEEPEST, Walk
@@ -38,44 +40,45 @@ def complete(
     """
     if len(crossings) < 2:
         return crossings
-    grid = Numbered(lines, crossings.axis)
+    grid, area = Numbered(lines, crossings.axis), on_host(wanted)
 
-    def short(pieces: Pieces) -> Tensor:
+    def short(pieces: Pieces) -> Mask:
         """Which pieces are to be followed."""
-        return (pieces.width < SHORT) & inside(
-            wanted, origin, grid.axis, (pieces.first + pieces.second) / 2, grid.across(pieces.line)
-        )
+        return (pieces.width < SHORT) & _within(area, origin, grid, pieces)
 
     pieces, ends = pieces_of(crossings, grid)
-    for mended in (_narrowed, _opened):
-        some = short(pieces)
-        before, crossings = crossings, mended(ask, crossings, pieces.take(some), ends[some], grid, finest, seed)
-        if crossings is not before:
-            pieces, ends = pieces_of(crossings, grid)
+    sharper = _narrowed(ask, crossings, ends[short(pieces)], grid, finest, seed)
+    if sharper is not crossings:
+        crossings = sharper
+        pieces, ends = pieces_of(crossings, grid)
+    more = _opened(ask, pieces.take(short(pieces)), grid, finest, seed)
+    if more is not None:
+        crossings = joined([crossings, more])
+        pieces, ends = pieces_of(crossings, grid)
     known, start = Known(pieces), short(pieces)
     # a parallel piece close by is another one: what continues this one overlaps it, or nearly
-    slack = torch.minimum(pieces.width / 2, torch.full_like(pieces.first, STEEPEST / grid.count))
-    work = Walk(ask, grid, known, wanted, origin, finest, seed)
-    lonely = start.clone()
-    unmet = start.clone()
+    slack = np.minimum(pieces.width / 2, STEEPEST / grid.count)
+    work = Walk(ask, grid, known, area, origin, finest)
+    lonely, unmet = start.copy(), start.copy()
     for direction in (1, -1):
         beside = known.at(pieces.line + direction, pieces.first, pieces.second, pieces.inside, pieces.tolerance, slack)
         alone = start & (beside < 0)
         lonely &= alone
         if direction < 0:
             # what was followed from above has been joined from below
-            alone &= ~work.reached_mask(pieces)
-        where = alone.nonzero()[:, 0]
+            alone &= ~work.reached(pieces)
+        where = np.flatnonzero(alone)
         if len(where):
-            other = known.at(pieces.line - direction, pieces.first, pieces.second, pieces.inside, pieces.tolerance, slack)[where]
-            moved = work.follow(pieces.take(where), direction, other)
+            some = pieces.take(where)
+            other = known.at(some.line - direction, some.first, some.second, some.inside, some.tolerance, slack[where])
+            moved = work.follow(some, direction, other)
             unmet[where[moved]] = False
-    drop = _held(pieces, grid) & lonely & unmet & (pieces.width < 1) & ~work.reached_mask(pieces)
+    drop = _held(pieces, grid) & lonely & unmet & (pieces.width < 1) & ~work.reached(pieces)
     # what lies between two pieces close by has their ends
-    firm = torch.zeros(len(crossings), dtype=torch.bool, device=drop.device)
-    firm[ends[start & ~drop].flatten()] = True
+    firm = np.zeros(len(crossings), dtype=np.bool_)
+    firm[ends[start & ~drop]] = True
     drop &= ~firm[ends].any(1)
-    return work.with_found(crossings.take(_without(len(crossings), ends[drop])))
+    return work.with_found(_without(crossings, ends[drop]))
 
 
 def thin_pieces(crossings: Crossings, lines: Lines) -> bool:
@@ -95,10 +98,11 @@ def unfollowed(
     pieces, ends = pieces_of(crossings, grid)
     thin = pieces.width < 1
     hit = _held(pieces, grid) & thin
-    within = inside(wanted, origin, crossings.axis, (pieces.first + pieces.second) / 2, grid.across(pieces.line))
-    known = int(((thin if foretold else hit) & within).count_nonzero())
-    cost = _LINE * max(0.0, float((1 / pieces.width[hit & within].clamp_min(_THINNEST)).sum()) - known)
-    return crossings.take(_without(len(crossings), ends[hit])), crossings.take(ends[hit & within].flatten()), cost
+    within = _within(on_host(wanted), origin, grid, pieces)
+    known = np.count_nonzero((thin if foretold else hit) & within)
+    cost = _LINE * max(0.0, float((1 / np.maximum(pieces.width[hit & within], _THINNEST)).sum()) - known)
+    met = torch.from_numpy(ends[hit & within].ravel()).to(grid.device)
+    return _without(crossings, ends[hit]), crossings.take(met), cost
 
 
 def beside(crossings: Crossings, others: Crossings, grid: Numbered) -> Tensor:
@@ -112,24 +116,29 @@ def beside(crossings: Crossings, others: Crossings, grid: Numbered) -> Tensor:
     return last > first
 
 
-def _held(pieces: Pieces, grid: Numbered) -> Tensor:
+def _held(pieces: Pieces, grid: Numbered) -> Mask:
     """Which pieces a sample lies in."""
-    phase = grid.phase(pieces.line)
-    return torch.floor(pieces.second - phase) > torch.floor(pieces.first - phase)
+    phase = grid.phase_of(pieces.line)
+    return np.floor(pieces.second - phase) > np.floor(pieces.first - phase)
 
 
-def _without(count: int, ends: Tensor) -> Tensor:
-    """The indices of `count` crossings but for those at the ends (P, 2) of pieces."""
-    kept = torch.ones(count, dtype=torch.bool, device=ends.device)
-    kept[ends.flatten()] = False
-    return kept.nonzero()[:, 0]
+def _within(wanted: Mask, origin: tuple[int, int], grid: Numbered, pieces: Pieces) -> Mask:
+    """Which pieces have their middles in pixels that are `wanted`, as `inside`."""
+    return inside(wanted, origin, grid.axis, (pieces.first + pieces.second) / 2, grid.across_of(pieces.line))
 
 
-def _narrowed(ask: Ask, crossings: Crossings, _: Pieces, ends: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
+def _without(crossings: Crossings, ends: Integers) -> Crossings:
+    """The crossings but for those at the ends (P, 2) of pieces."""
+    kept = np.ones(len(crossings), dtype=np.bool_)
+    kept[ends] = False
+    return crossings.take(torch.from_numpy(np.flatnonzero(kept)).to(crossings.place.device))
+
+
+def _narrowed(ask: Ask, crossings: Crossings, ends: Integers, grid: Numbered, finest: float, seed: int) -> Crossings:
     """With the ends of short pieces known as exactly as their slopes, over a part of their width, ask for."""
-    blunt = torch.zeros(len(crossings), dtype=torch.bool, device=crossings.place.device)
-    blunt[ends] = True
-    blunt &= (crossings.width > 2 * finest) & (crossings.width <= BRACKET)
+    short = np.zeros(len(crossings), dtype=np.bool_)
+    short[ends] = True
+    blunt = (crossings.width > 2 * finest) & (crossings.width <= BRACKET) & torch.from_numpy(short).to(grid.device)
     if not bool(blunt.any()):
         return crossings
     some = crossings.take(blunt.nonzero()[:, 0])
@@ -137,29 +146,22 @@ def _narrowed(ask: Ask, crossings: Crossings, _: Pieces, ends: Tensor, grid: Num
     return joined([crossings.take((~blunt).nonzero()[:, 0]), sharp])
 
 
-def _opened(ask: Ask, crossings: Crossings, pieces: Pieces, _: Tensor, grid: Numbered, finest: float, seed: int) -> Crossings:
-    """With the crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
+def _opened(ask: Ask, pieces: Pieces, grid: Numbered, finest: float, seed: int) -> Crossings | None:
+    """The crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
     pieces = pieces.take(pieces.width > _PROBES_APART)
     if len(pieces) == 0:
-        return crossings
-    apart, across = pieces.width / (_PROBES + 1), grid.across(pieces.line)
-    places = pieces.first + apart * torch.arange(_PROBES + 2, device=apart.device)[:, None]
+        return None
+    apart, across = pieces.width / (_PROBES + 1), grid.across_of(pieces.line)
+    places = pieces.first + apart * np.arange(_PROBES + 2)[:, None]
     places[0] += 1e-3
     places[-1] -= 1e-3
-    values = ask_on(ask, crossings.axis, places[1:-1].flatten(), across.repeat(_PROBES)).unflatten(1, (_PROBES, -1))
-    values = torch.cat([pieces.inside[:, None], values, pieces.inside[:, None]], 1)
-    changed = (values[:, 1:] - values[:, :-1]).abs().amax(0) > pieces.tolerance
-    probe, piece = changed.nonzero().unbind(1)
-    line = pieces.line[piece]
-    segments = brackets(
-        crossings.axis,
-        across[piece],
-        places[probe, piece],
-        places[probe + 1, piece],
-        values[:, probe, piece],
-        values[:, probe + 1, piece],
-        grid.phase(line),
-        line,
-        kind=1,
-    )
-    return joined([crossings, bisect(ask, segments, finest, seed)])
+    values = Few(ask, grid.axis, grid.device).at(places[1:-1], across)
+    values = np.concatenate([pieces.inside[:, None], values, pieces.inside[:, None]], 1)
+    probe, piece = np.nonzero(np.abs(values[:, 1:] - values[:, :-1]).max(0) > pieces.tolerance)
+    if len(probe) == 0:
+        return None
+    line, both = pieces.line[piece], (probe, probe + 1)
+    ends = (places[some, piece] for some in both), (values[:, some, piece] for some in both)
+    numbers = across[piece], *ends[0], *ends[1], grid.phase_of(line), line
+    segments = brackets(grid.axis, *(torch.from_numpy(each).to(grid.device) for each in numbers), kind=1)
+    return bisect(ask, segments, finest, seed)

@@ -255,7 +255,7 @@ class Leveller:
         if known is not None:
             short = narrowed_all(self.ask, segments, known.crossings, apart, seed)
             if self.ask.task.followed is None:
-                more = [between(self.ask, c, known.lines, lines, s, seed) for c, s in zip(known.crossings, segments, strict=True)]
+                more = [between(self.ask, c, known.lines, lines, s) for c, s in zip(known.crossings, segments, strict=True)]
                 short = [together([s, m]) for s, m in zip(short, more, strict=True)]
             return bisect_all(self.ask, short, self.finest, seed)
         odd = [
