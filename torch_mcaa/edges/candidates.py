@@ -100,9 +100,7 @@ def candidates(samples: Samples, axis: int) -> Segments:
 
 def _looked(samples: Samples, axis: int) -> tuple[Segments, Tensor]:
     """`candidates`, and the places (2, M), columns and rows, of differences alike beside them that are none."""
-    values = samples.values
-    # one by one: along a dimension it is several times slower
-    span = torch.stack([torch.sub(*reversed(torch.aminmax(v))) if v.numel() else v.new_zeros(()) for v in values])
+    values, span = samples.values, _ranges(samples.values)
     most = _AT_ONCE * width_of(values.device)
     if values.numel() <= most:
         return _candidates(samples, axis, span)
@@ -116,25 +114,30 @@ def _looked(samples: Samples, axis: int) -> tuple[Segments, Tensor]:
     return joined(parts), torch.cat(hidden, 1)
 
 
+def _ranges(values: Tensor) -> Tensor:
+    """(C,): of each channel's values. One by one: along a dimension it is several times slower."""
+    return torch.stack([torch.sub(*reversed(torch.aminmax(v))) if v.numel() else v.new_zeros(()) for v in values])
+
+
 def _candidates(samples: Samples, axis: int, span: Tensor) -> tuple[Segments, Tensor]:
     """`_looked` on some lines; `span` (C,) the ranges of all values."""
     differences = samples.differences(axis)
     size = differences.size
-    some = size > _FAINT * span[:, None]
-    many = int(some.count_nonzero()) > _MANY * some.numel()
-    if many:
-        some = differences.pruned(some, _TIMES)
-    flat = some.flatten().nonzero()[:, 0]
+    many = int(size.count_nonzero()) > _MANY * size.numel()
+    flat = (differences.pruned(_TIMES) if many else size).flatten().nonzero()[:, 0]
     channel, index = flat // max(1, size.shape[1]), flat % max(1, size.shape[1])
+    clear = numbers(size.view(-1)[flat] > _FAINT * span[channel])
+    channel, index = pick(channel, clear), pick(index, clear)
     windows = _WINDOWS * width_of(size.device)
     parts = zip(channel.split(windows), index.split(windows), strict=True)
     chosen = torch.cat([_stands_out(differences, *part) for part in parts])
+    if samples.codes is None and not bool(chosen.any()):
+        return _none(samples, axis), samples.x.new_zeros(2, 0)
     hidden = _alike(differences, channel[chosen], index[chosen])
     # from here on what is no candidate counts as no difference
-    if many:
-        size.masked_fill_(~some, 0)
-    size[channel[~chosen], index[~chosen]] = 0
     channel, index = channel[chosen], index[chosen]
+    kept = size[channel, index]
+    size.zero_()[channel, index] = kept
     codes = None if samples.codes is None else samples.differences(axis, codes=True)
     changed = index[:0] if codes is None else codes.size[0].nonzero()[:, 0]
     flat, owner = (
@@ -173,6 +176,12 @@ def _candidates(samples: Samples, axis: int, span: Tensor) -> tuple[Segments, Te
     return Segments(axis, across, low, low + 1, before, after, least, phase, key, single, quiet, decided), beside
 
 
+def _none(samples: Samples, axis: int) -> Segments:
+    place, colour = samples.x[:0], samples.values.new_zeros(len(samples.values), 0)
+    key = torch.zeros(0, 3, dtype=torch.int64, device=place.device)
+    return Segments(axis, place, place, place, colour, colour, colour, place, key, key[:, 0] > 0, key[:, 0], place)
+
+
 def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Tensor:
     """bool (N,): which differences are over three times the median of the four on either side, and more than rounding."""
     size = differences.size
@@ -192,12 +201,12 @@ def _stands_out(differences: Differences, channel: Tensor, index: Tensor) -> Ten
 
 
 def _alike(differences: Differences, channel: Tensor, index: Tensor) -> Tensor:
-    """The differences (M,) near candidates (N,), these included, that are as large: edges between two colours, where they are close.
+    """The differences (M,) near candidates (N,) that are as large: edges between two colours, where they are close.
 
     What stands out at the end of a line, where nothing beyond is known, may be no more than a slope.
     """
     size = differences.size
-    near = differences.beside(index, torch.arange(-_AROUND, _AROUND + 1, device=size.device))
+    near = differences.beside(index, torch.tensor([step for step in range(-_AROUND, _AROUND + 1) if step], device=size.device))
     own = size[channel, index][:, None]
     alike = (near >= 0).all(1, True) & ((size[channel[:, None], near.clamp_min(0)] - own).abs() <= _ALIKE * own)
     return torch.unique(near[alike])

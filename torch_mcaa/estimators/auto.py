@@ -84,7 +84,7 @@ class Auto(Estimator):
             return Importance().cell(task, spp, adaptive)
         if not _can_locate(task):
             return Shared().cell(task, spp, adaptive)
-        return cell_of(spp, adaptive, task.device)
+        return cell_of(task, spp, adaptive)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         if texels := Texels.of(task):

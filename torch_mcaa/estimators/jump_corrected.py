@@ -69,7 +69,7 @@ class JumpCorrected(Estimator):
         return ("JumpCorrected: the samples themselves decide where jumps are looked for",)
 
     def cell(self, task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
-        return cell_of(spp, adaptive, task.device)
+        return cell_of(task, spp, adaptive)
 
     def round(self, task: Task, spp: int, number: int) -> Round:
         check_held(task, lines_for(spp), repr(self))

@@ -48,6 +48,9 @@ _STEP = 0.25
 """Evaluations a pixel: lattices that are chosen by directions come in such steps."""
 _LATTICES = 2
 """Those that are remembered for the next cell."""
+_SIDE, _LARGE, _LARGER = 512, 1 << 22, 1024
+"""Pixels along the side of a cell, and of those of pictures of so many pixels: a cell's jumps are located in calls that take as long for few as for
+several of them, but without several cells nothing is seen of a picture before its end."""
 _CROSSED = 1 << 14
 """The lines that an edge may cross in a cell: what is kept of it grows with them."""
 
@@ -57,9 +60,10 @@ def located(model: Tensor) -> Tensor:
     return (model == LOCATED) | (model == FINER)
 
 
-def cell_of(spp: int, adaptive: bool, device: torch.device) -> tuple[int, int]:
+def cell_of(task: Task, spp: int, adaptive: bool) -> tuple[int, int]:
     """The cells of estimators that keep a cell's crossings: smaller where there are many lines."""
-    side, width = 512, width_of(device)
+    side = _LARGER if task.screen.height * task.screen.width >= _LARGE else _SIDE
+    width = width_of(task.device)
     while side > 64 and (side * spp > _CROSSED or (adaptive and side > 128)):
         side //= 2
     side *= math.isqrt(width)
