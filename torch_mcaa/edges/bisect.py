@@ -25,7 +25,7 @@ _SPLIT = 0.1
 """How far the first places may move, in quarters of the segment."""
 _MISSED = 0.25
 """The share of a segment's change that may lie outside the jumps found in it."""
-_QUARTERED = 1 / 16
+QUARTERED = 1 / 16
 """Px: wider segments begin with quarters."""
 _SMOOTH = 0.4
 """Px: a segment that changes over more than this is smooth, and left to the samples."""
@@ -146,7 +146,7 @@ class _Bisection:
 
     def start(self) -> None:
         """Quarters of the wide segments, at once: a middle alone would often miss a second thin piece close by."""
-        wide = self.high - self.low > _QUARTERED
+        wide = self.high - self.low > QUARTERED
         whole, rest = wide.nonzero()[:, 0], (~wide).nonzero()[:, 0]
         self.live = self.followed(rest, *(pick(ends, rest) for ends in (self.low, self.high, self.before, self.after)))
         if len(whole) == 0:

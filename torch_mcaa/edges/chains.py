@@ -122,7 +122,7 @@ def _followed(
     if not last.any():
         return None
     lines, places, jumps = (on_host(each) for each in (grid.number(known.across), known.place, known.jump))
-    order, few = _Order(lines, places), Few(ask, grid.axis, grid.device)
+    order, few = _Order(lines, places), Few(ask, grid.axis, grid.device, wanted.size)
     # thin pieces are followed as such
     pieces, ends = pieces_of(known, grid)
     one, two = jumps[:, ends[:, 0]], jumps[:, ends[:, 1]]

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torch_mcaa.edges.bisect import FAINT, ROUNDING
+from torch_mcaa.edges.bisect import FAINT, QUARTERED, ROUNDING
 from torch_mcaa.edges.candidates import FOLLOWED
 from torch_mcaa.edges.lines import Ask
 
@@ -22,8 +22,9 @@ Integers: TypeAlias = NDArray[Any]
 _GOLDEN = (5**0.5 - 1) / 2
 _UNEVEN = 0.2
 """How much the first parts of brackets differ, in parts: were they alike on all lines, the middles of the last ones would all err alike."""
-_FEW, _PARTS = 12, 16
-"""Up to so many brackets are cut into up to so many parts at once: a call takes longer than they do."""
+_PIXELS, _PARTS = 1 << 14, 16
+"""For each so many pixels a bracket may be cut into up to so many parts at once: a call takes longer than a few places do, which small areas cannot
+pay for."""
 _CLEAR = 0.5
 """One jump has to be this much of what a bracket changes by."""
 
@@ -52,10 +53,10 @@ class Brackets(NamedTuple):
 
 
 class Few:
-    """f on lines along `axis`, asked by tensors on a device."""
+    """f on lines along `axis`, asked by tensors on a device, in an area of so many `pixels`."""
 
-    def __init__(self, ask: Ask, axis: int, device: torch.device) -> None:
-        self.ask, self.axis, self.device = ask, axis, device
+    def __init__(self, ask: Ask, axis: int, device: torch.device, pixels: int) -> None:
+        self.ask, self.axis, self.device, self.few = ask, axis, device, pixels // _PIXELS
 
     def at(self, along: Floats, across: Floats) -> Colours:
         """f (C, ..., N) at places (..., N) on lines `across` (N,)."""
@@ -75,11 +76,11 @@ class Few:
         faint, single = FAINT * FOLLOWED * size, np.ones(len(line), dtype=np.bool_)
         low, high, before, after = (each.copy() for each in wide)
 
-        def cut(index: Integers, ends: Floats) -> None:
-            """Take the part, of those between the `ends` (parts + 1, n), that changes."""
+        def cut(index: Integers, ends: Floats, share: float = 1.0) -> None:
+            """Take the part, of those between the `ends` (parts + 1, n), that changes by more than a share of what is faint."""
             inner = self.at(ends[1:-1], across[index])
             values = np.concatenate([before[:, None, index], inner, after[:, None, index]], 1)
-            changed = (np.abs(values[:, 1:] - values[:, :-1]) > faint[:, None, index]).any(0)
+            changed = (np.abs(values[:, 1:] - values[:, :-1]) > share * faint[:, None, index]).any(0)
             single[index] = changed.sum(0) == 1
             part, each = changed.argmax(0), np.arange(len(index))
             low[index], high[index] = ends[part, each], ends[part + 1, each]
@@ -88,11 +89,14 @@ class Few:
         moved = _UNEVEN * (uneven(line) - 0.5)
         while len(index := np.flatnonzero(single & (high - low > finest))):
             width = high[index] - low[index]
-            parts = min(_PARTS, 2 ** int(np.ceil(np.log2(width.max() / finest)))) if len(index) <= _FEW else 2
-            share = np.arange(parts + 1.0)[:, None].repeat(len(index), 1)
-            share[1:-1] += moved[index]
+            parts = least = 4 if width.max() > QUARTERED else 2
+            if len(index) <= self.few:
+                parts = min(_PARTS, max(least, 2 ** int(np.ceil(np.log2(width.max() / finest)))))
+            number = np.arange(parts + 1.0)[:, None].repeat(len(index), 1)
+            number[1:-1] += moved[index]
             moved[index] = 0
-            cut(index, low[index] + share / parts * width)
+            # of a slope each of more parts has less
+            cut(index, low[index] + number / parts * width, least / parts)
         sample = np.floor(high - phase) + phase
         held = np.flatnonzero(single & (sample > low + ROUNDING) & (sample < high - ROUNDING))
         if len(held):

@@ -51,7 +51,7 @@ def complete(
     if sharper is not crossings:
         crossings = sharper
         pieces, ends = pieces_of(crossings, grid)
-    more = _opened(ask, pieces.take(short(pieces)), grid, finest, seed)
+    more = _opened(ask, Few(ask, grid.axis, grid.device, area.size), pieces.take(short(pieces)), grid, finest, seed)
     if more is not None:
         crossings = joined([crossings, more])
         pieces, ends = pieces_of(crossings, grid)
@@ -146,7 +146,7 @@ def _narrowed(ask: Ask, crossings: Crossings, ends: Integers, grid: Numbered, fi
     return joined([crossings.take((~blunt).nonzero()[:, 0]), sharp])
 
 
-def _opened(ask: Ask, pieces: Pieces, grid: Numbered, finest: float, seed: int) -> Crossings | None:
+def _opened(ask: Ask, few: Few, pieces: Pieces, grid: Numbered, finest: float, seed: int) -> Crossings | None:
     """The crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
     pieces = pieces.take(pieces.width > _PROBES_APART)
     if len(pieces) == 0:
@@ -155,7 +155,7 @@ def _opened(ask: Ask, pieces: Pieces, grid: Numbered, finest: float, seed: int) 
     places = pieces.first + apart * np.arange(_PROBES + 2)[:, None]
     places[0] += 1e-3
     places[-1] -= 1e-3
-    values = Few(ask, grid.axis, grid.device).at(places[1:-1], across)
+    values = few.at(places[1:-1], across)
     values = np.concatenate([pieces.inside[:, None], values, pieces.inside[:, None]], 1)
     probe, piece = np.nonzero(np.abs(values[:, 1:] - values[:, :-1]).max(0) > pieces.tolerance)
     if len(probe) == 0:

@@ -49,7 +49,7 @@ class Walk:
 
     def __init__(self, ask: Ask, grid: Numbered, known: Known, wanted: Mask, origin: tuple[int, int], finest: float) -> None:
         self.grid, self.known, self.wanted, self.origin = grid, known, wanted, origin
-        self.few, self.finest, self.axis = Few(ask, grid.axis, grid.device), finest, grid.axis
+        self.few, self.finest, self.axis = Few(ask, grid.axis, grid.device, wanted.size), finest, grid.axis
         self.found: list[_Ends] = []
         self._reached: list[Integers] = []
 

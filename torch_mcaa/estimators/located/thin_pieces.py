@@ -14,11 +14,11 @@ from torch_mcaa.estimators.base import dilated
 from torch_mcaa.estimators.located.blocks import by_block, by_pixel, pixels_of, shape_of
 from torch_mcaa.estimators.located.counted import Counted, Spent
 
-_FIRST = 0.45
+_FIRST = 0.5
 """The share of what is left that a first shift may spend on what it follows."""
 THINNEST = 2.0**-12
 """Px: how exactly the ends of thin pieces have to be known to be followed from line to line."""
-_TIMES, _WALK = 4.0, 0.1
+_TIMES, _WALK = 3.0, 0.05
 """What following them may take: so many times what is expected, and a share of what bisection took. Of detail on every scale no piece goes
 on as the last lines foretell, and to look for it takes far more; hairlines take up to three times what is expected."""
 _ATTEMPTS, _DEAREST = 3, 0.25
