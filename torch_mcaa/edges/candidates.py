@@ -95,12 +95,12 @@ def candidates(samples: Samples, axis: int) -> Segments:
 
     A difference that rounding explains is none. Where f is followed, also those between whose ends it decides differently.
     """
-    return _looked(samples, axis)[0]
+    return _looked(samples, axis, _ranges(samples.values))[0]
 
 
-def _looked(samples: Samples, axis: int) -> tuple[Segments, Tensor]:
-    """`candidates`, and the places (2, M), columns and rows, of differences alike beside them that are none."""
-    values, span = samples.values, _ranges(samples.values)
+def _looked(samples: Samples, axis: int, span: Tensor) -> tuple[Segments, Tensor]:
+    """`candidates`, and the places (2, M), columns and rows, of differences alike beside them that are none; `span` (C,) the ranges of all values."""
+    values = samples.values
     most = _AT_ONCE * width_of(values.device)
     if values.numel() <= most:
         return _candidates(samples, axis, span)
@@ -120,7 +120,7 @@ def _ranges(values: Tensor) -> Tensor:
 
 
 def _candidates(samples: Samples, axis: int, span: Tensor) -> tuple[Segments, Tensor]:
-    """`_looked` on some lines; `span` (C,) the ranges of all values."""
+    """`_looked` on some lines."""
     differences = samples.differences(axis)
     size = differences.size
     many = int(size.count_nonzero()) > _MANY * size.numel()
@@ -221,8 +221,9 @@ class Finder:
 
     def look(self, samples: Samples, first: int, kept: Callable[[Segments], Segments] = lambda segments: segments) -> None:
         """See lines, of which the first is number `first` of the lattice's, for those of their segments that are to be `kept`."""
+        span = _ranges(samples.values)
         for axis, parts in enumerate(self._parts):
-            part, beside = _looked(samples, axis)
+            part, beside = _looked(samples, axis, span)
             part.key[:, 0] += first
             parts.append(kept(part))
             self._hidden[axis].append(beside)

@@ -157,7 +157,7 @@ def _followed(
         middle = np.where(met, (part.low + part.high) / 2, target)
         new = met & (order.nearest(number, middle, (part.high - part.low) / 2 + _TWICE) < 0)
         new[new] = _first(number[new], middle[new], within)
-        found.append((across[new], *part.take(new), grid.phase_of(number[new]), number[new]))
+        found.append((across[new], *part.take(new).each, grid.phase_of(number[new]), number[new]))
         jump, slope = np.where(met, change, jump), np.where(met, (middle - place) / gone, slope)
         place, line, gone = np.where(met, middle, place), np.where(met, number, line), np.where(met, 1, gone + 1)
         on = new | (~met & (gone <= 1 + _FADED))
@@ -201,7 +201,7 @@ def _met(
     wide = np.flatnonzero(clear & (high - low > 3 * within))
     if len(wide):
         clear[wide], narrow = few.narrowed(line[wide], across[wide], phase[wide], part.take(wide), 2 * within)
-        for values, those in zip(part, narrow, strict=True):
+        for values, those in zip(part.each, narrow.each, strict=True):
             values[..., wide] = those
     return clear, part
 

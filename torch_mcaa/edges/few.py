@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Self, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 import torch
@@ -39,17 +41,33 @@ def uneven(line: Integers) -> Floats:
     return line * _GOLDEN % 1
 
 
-class Brackets(NamedTuple):
+@dataclass(frozen=True)
+class Arrays:
+    """Arrays whose last axes are of the same things."""
+
+    @property
+    def each(self) -> tuple[NDArray[Any], ...]:
+        """The arrays, in order."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    def take(self, index: Mask | Integers) -> Self:
+        """Those at `index`, integers or bool."""
+        return type(self)(*(values[..., index] for values in self.each))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Those of all parts."""
+        return cls(*(np.concatenate(values, -1) for values in zip(*(part.each for part in parts), strict=True)))
+
+
+@dataclass(frozen=True)
+class Brackets(Arrays):
     """Parts of lines (..., N) from low to high, with f before and after (C, ..., N)."""
 
     low: Floats
     high: Floats
     before: Colours
     after: Colours
-
-    def take(self, index: Mask | Integers) -> Self:
-        """Those at `index`, integers or bool."""
-        return type(self)(*(each[..., index] for each in self))
 
 
 class Few:
@@ -74,7 +92,7 @@ class Few:
         """
         size = np.abs(wide.after - wide.before)
         faint, single = FAINT * FOLLOWED * size, np.ones(len(line), dtype=np.bool_)
-        low, high, before, after = (each.copy() for each in wide)
+        low, high, before, after = (each.copy() for each in wide.each)
 
         def cut(index: Integers, ends: Floats, share: float = 1.0) -> None:
             """Take the part, of those between the `ends` (parts + 1, n), that changes by more than a share of what is faint."""

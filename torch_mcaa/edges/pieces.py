@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torch_mcaa.edges.bisect import Crossings
-from torch_mcaa.edges.few import Colours, Floats, Integers, Mask, on_host
+from torch_mcaa.edges.few import Arrays, Colours, Floats, Integers, Mask, on_host
 from torch_mcaa.edges.lines import Lines
 
 SHORT = 1.5
@@ -21,7 +21,7 @@ _LINE = 2.0**21
 
 
 @dataclass(frozen=True)
-class Pieces:
+class Pieces(Arrays):
     """Pieces [first, second] of lines, `line` counted over the screen; colours (C, P) before, in, and after each."""
 
     line: Integers
@@ -33,10 +33,6 @@ class Pieces:
 
     def __len__(self) -> int:
         return len(self.line)
-
-    def take(self, index: Mask | Integers) -> Pieces:
-        """The pieces at `index`, integers or bool."""
-        return Pieces(*(getattr(self, field.name)[..., index] for field in fields(self)))
 
     @property
     def width(self) -> Floats:

@@ -51,14 +51,15 @@ def complete(
     if sharper is not crossings:
         crossings = sharper
         pieces, ends = pieces_of(crossings, grid)
-    more = _opened(ask, Few(ask, grid.axis, grid.device, area.size), pieces.take(short(pieces)), grid, finest, seed)
+    few = Few(ask, grid.axis, grid.device, area.size)
+    more = _opened(few, pieces.take(short(pieces)), grid, finest, seed)
     if more is not None:
         crossings = joined([crossings, more])
         pieces, ends = pieces_of(crossings, grid)
     known, start = Known(pieces), short(pieces)
     # a parallel piece close by is another one: what continues this one overlaps it, or nearly
     slack = np.minimum(pieces.width / 2, STEEPEST / grid.count)
-    work = Walk(ask, grid, known, area, origin, finest)
+    work = Walk(few, grid, known, area, origin, finest)
     lonely, unmet = start.copy(), start.copy()
     for direction in (1, -1):
         beside = known.at(pieces.line + direction, pieces.first, pieces.second, pieces.inside, pieces.tolerance, slack)
@@ -146,7 +147,7 @@ def _narrowed(ask: Ask, crossings: Crossings, ends: Integers, grid: Numbered, fi
     return joined([crossings.take((~blunt).nonzero()[:, 0]), sharp])
 
 
-def _opened(ask: Ask, few: Few, pieces: Pieces, grid: Numbered, finest: float, seed: int) -> Crossings | None:
+def _opened(few: Few, pieces: Pieces, grid: Numbered, finest: float, seed: int) -> Crossings | None:
     """The crossings hidden in short pieces: where two thin pieces lie close by, the ends of one and the other look like one piece."""
     pieces = pieces.take(pieces.width > _PROBES_APART)
     if len(pieces) == 0:
@@ -164,4 +165,4 @@ def _opened(ask: Ask, few: Few, pieces: Pieces, grid: Numbered, finest: float, s
     ends = (places[some, piece] for some in both), (values[:, some, piece] for some in both)
     numbers = across[piece], *ends[0], *ends[1], grid.phase_of(line), line
     segments = brackets(grid.axis, *(torch.from_numpy(each).to(grid.device) for each in numbers), kind=1)
-    return bisect(ask, segments, finest, seed)
+    return bisect(few.ask, segments, finest, seed)

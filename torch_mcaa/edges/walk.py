@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Self
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from torch_mcaa.edges.bisect import Crossings, joined
-from torch_mcaa.edges.few import Brackets, Colours, Few, Floats, Integers, Mask, uneven
-from torch_mcaa.edges.lines import Ask
+from torch_mcaa.edges.few import Arrays, Brackets, Colours, Few, Floats, Integers, Mask, uneven
 from torch_mcaa.edges.pieces import SAME, Known, Numbered, Pieces, inside, place_of
 
 STEEPEST = 3.0
@@ -22,7 +21,8 @@ _TWICE = 5e-4
 """Px: crossings of one jump closer than this are one that was found twice."""
 
 
-class _Ends(NamedTuple):
+@dataclass(frozen=True)
+class _Ends(Arrays):
     """The two ends of pieces on lines, by number: brackets (2, N), colours (C, 2, N)."""
 
     line: Integers
@@ -32,24 +32,17 @@ class _Ends(NamedTuple):
     before: Colours
     after: Colours
 
-    def take(self, index: Mask | Integers) -> Self:
-        return type(self)(*(each[..., index] for each in self))
-
     @property
     def place(self) -> Floats:
         return (self.low + self.high) / 2
-
-    @classmethod
-    def joined(cls, parts: list[_Ends]) -> _Ends:
-        return cls(*(np.concatenate(each, -1) for each in zip(*parts, strict=True)))
 
 
 class Walk:
     """Pieces followed over lines; it gathers what it finds."""
 
-    def __init__(self, ask: Ask, grid: Numbered, known: Known, wanted: Mask, origin: tuple[int, int], finest: float) -> None:
+    def __init__(self, few: Few, grid: Numbered, known: Known, wanted: Mask, origin: tuple[int, int], finest: float) -> None:
         self.grid, self.known, self.wanted, self.origin = grid, known, wanted, origin
-        self.few, self.finest, self.axis = Few(ask, grid.axis, grid.device, wanted.size), finest, grid.axis
+        self.few, self.finest, self.axis = few, finest, grid.axis
         self.found: list[_Ends] = []
         self._reached: list[Integers] = []
 
